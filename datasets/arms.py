@@ -1,0 +1,178 @@
+"""Arm signature: what kind of place a landmark is, which way it faces, and in which turns two of them coincide.
+
+A landmark's kind follows from its arms (paper, section 2.1): two neighbouring blocked arms make a corner, three an
+end of corridor. Nothing here assumes right angles: oblique corridors, and arms listed in any order, are normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .maps import DOOR, SPATIAL_TYPES, Landmark, Link
+from .se2 import wrap
+
+Array = NDArray[np.float64]
+
+#: Arms of two landmarks are the same arm when their directions agree within this [rad].
+ARM_TOLERANCE = np.deg2rad(30.0)
+
+QUARTER = np.pi / 2
+
+
+class Kind(StrEnum):
+    """What the arms say a landmark is; each with the rotations that map its arms onto themselves."""
+
+    CORNER = "corner"
+    T_JUNCTION = "T-junction"
+    CROSSING = "crossing"
+    END = "end of corridor"
+    DOOR = "door"
+    CORRIDOR = "corridor"
+    UNKNOWN = "unknown arms"
+    POINT = "point"
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSignature:
+    """Arms of one landmark whose direction is known, counter-clockwise from the smallest heading.
+
+    ``headings`` [rad, map frame] and ``passable`` (open or door: a corridor goes on there) are parallel, as are
+    ``links``: the place of each arm among the landmark's links.
+    """
+
+    kind: Kind
+    headings: tuple[float, ...]
+    passable: tuple[bool, ...]
+    links: tuple[int, ...]
+
+    @property
+    def symmetry(self) -> int:
+        """Number of turns (of quarter or half circle) that map the kind onto itself: a crossing has four."""
+        return {Kind.CROSSING: 4, Kind.CORRIDOR: 2}.get(self.kind, 1)
+
+    @property
+    def heading(self) -> float | None:
+        """Direction [rad, map frame] of the landmark: that of its reference arm, averaged over all arms.
+
+        The mean of what each arm says, modulo quarter turns, so that each arm's error counts 1/k.
+        """
+        if not self.headings:
+            return None
+        reference = self.headings[_reference_arm(self.passable, self.headings)]
+        off = np.array([wrap(h - reference) for h in self.headings])
+        return float(wrap(reference + np.mean(off - QUARTER * np.round(off / QUARTER))))
+
+
+def _reference_arm(passable: tuple[bool, ...], headings: tuple[float, ...]) -> int:
+    """The arm whose direction stands for the landmark: the passable one that follows the widest gap without one.
+
+    For an end the open arm, for a corner the clockwise one of its two; where all gaps are alike the first.
+    """
+    ways = [k for k, p in enumerate(passable) if p] or list(range(len(headings)))
+    gaps = [(headings[k] - headings[ways[i - 1]]) % (2 * np.pi) or 2 * np.pi for i, k in enumerate(ways)]
+    widest = max(gaps)
+    return next(k for k, gap in zip(ways, gaps, strict=True) if gap > widest - QUARTER / 2)
+
+
+def is_passable(link: Link) -> bool | None:
+    """Whether a corridor goes on along this arm; None where it was not sensed."""
+    if link.connected_to_id is not None or link.type in ("open", "door"):
+        return True
+    return False if link.type == "blocked" else None
+
+
+def _kind(type_: str, headings: list[float], passable: list[bool]) -> Kind:
+    if type_ == DOOR:
+        return Kind.DOOR
+    n_open, n_blocked = sum(passable), len(passable) - sum(passable)
+    if not passable:
+        return Kind.UNKNOWN if type_ in SPATIAL_TYPES else Kind.POINT
+    if n_open >= 4:
+        return Kind.CROSSING
+    if n_open == 3:
+        return Kind.T_JUNCTION
+    if n_open == 2:
+        first, second = (h for h, p in zip(headings, passable, strict=True) if p)
+        bent = abs(wrap(second - first)) < np.pi - ARM_TOLERANCE
+        return Kind.CORNER if bent else Kind.CORRIDOR
+    return Kind.END if n_open == 1 and n_blocked >= 2 else Kind.UNKNOWN
+
+
+@lru_cache(maxsize=65536)
+def _signature(type_: str, links: tuple[tuple[float | None, bool | None], ...]) -> ArmSignature:
+    known = sorted(
+        (float(wrap(h)), bool(p), k) for k, (h, p) in enumerate(links) if h is not None and p is not None
+    )
+    headings, passable = [h for h, _, _ in known], [p for _, p, _ in known]
+    kind = _kind(type_, headings, passable)
+    return ArmSignature(kind, tuple(headings), tuple(passable), tuple(k for _, _, k in known))
+
+
+def signature(landmark: Landmark) -> ArmSignature:
+    """The arm signature of a landmark.
+
+    >>> from mapfuse.datasets.maps import Landmark, Link
+    >>> arms = (Link("open", 0.0), Link("open", 1.57), Link("blocked", 3.14), Link("blocked", -1.57))
+    >>> signature(Landmark("c1", "corner", 0.0, 0.0, links=arms)).kind.value
+    'corner'
+    """
+    return _signature(landmark.type, tuple((link.heading, is_passable(link)) for link in landmark.links))
+
+
+def heading_of(landmark: Landmark) -> float | None:
+    """Direction of a landmark [rad, map frame]: of its arms where it has any, else its own heading, else None."""
+    from_arms = signature(landmark).heading
+    return landmark.heading if from_arms is None else from_arms
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A rotation that lays the arms of landmark 2 onto those of landmark 1.
+
+    ``rotation`` [rad]: of T12. ``coincide``: arms that meet one of the same passability; ``contradict``: arms that
+    meet one of the other; ``pairs``: (arm of 1, arm of 2) that meet, as places in the signatures.
+    """
+
+    rotation: float
+    coincide: int
+    contradict: int
+    pairs: tuple[tuple[int, int], ...]
+
+
+def overlay(arms1: ArmSignature, arms2: ArmSignature, rotation: float) -> Turn:
+    """Which arms meet when those of landmark 2 are turned by ``rotation`` [rad], and whether they agree."""
+    pairs: list[tuple[int, int]] = []
+    for k2, h2 in enumerate(arms2.headings):
+        off = [abs(wrap(h2 + rotation - h1)) for h1 in arms1.headings]
+        if off and min(off) < ARM_TOLERANCE:
+            pairs.append((int(np.argmin(off)), k2))
+    same = sum(arms1.passable[k1] == arms2.passable[k2] for k1, k2 in pairs)
+    shift = np.mean([wrap(arms1.headings[a] - arms2.headings[b] - rotation) for a, b in pairs]) if pairs else 0.0
+    return Turn(float(wrap(rotation + shift)), same, len(pairs) - same, tuple(pairs))
+
+
+def turns(arms1: ArmSignature, arms2: ArmSignature, contradictions: int = 0) -> tuple[Turn, ...]:
+    """All distinct rotations that lay arms of 2 onto arms of 1 with at most that many contradictions.
+
+    "Requiring the arm-type attributes to coincide" (paper, section 3.2): kept are the turns in which most arms
+    coincide; a crossing on a crossing has four, a corner on a corner one.
+
+    >>> from mapfuse.datasets.maps import Landmark, Link
+    >>> cross = Landmark("x", "junction", 0.0, 0.0, links=tuple(Link("open", a) for a in (0, 1.57, 3.14, -1.57)))
+    >>> len(turns(signature(cross), signature(cross)))
+    4
+    """
+    found: list[Turn] = []
+    for h1 in arms1.headings:
+        for h2 in arms2.headings:
+            turn = overlay(arms1, arms2, float(wrap(h1 - h2)))
+            known = any(abs(wrap(turn.rotation - other.rotation)) < ARM_TOLERANCE for other in found)
+            if turn.contradict <= contradictions and turn.coincide and not known:
+                found.append(turn)
+    most = max((turn.coincide for turn in found), default=0)
+    return tuple(sorted((t for t in found if t.coincide == most), key=lambda t: t.rotation))

@@ -1,0 +1,132 @@
+"""What a fusion answers: `FusedMap` and its parts, frozen; the names are those of ``mapfuse.fused/1``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets.maps import JointCovariance, LandmarkMap, Link
+from mapfuse.datasets.transform import Transform
+from mapfuse.datasets.values import frozen_array, same_fields
+
+Array = NDArray[np.float64]
+PairDecision = Literal["merged", "ambiguous", "no_overlap"]
+Decision = Literal["merged", "partial", "ambiguous", "no_overlap"]
+
+
+@dataclass(frozen=True, slots=True)
+class RankedHypothesis:
+    """One possible T12 of a pair: matched landmarks, log evidence ratio against no overlap [nats], probability."""
+
+    T12: Transform
+    count: int
+    log_evidence: float
+    probability: float
+    extra: Mapping[str, Any] = field(default_factory=dict, repr=False, hash=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PairResult:
+    """What is known of two maps' relation: the decision, all hypotheses best first, and why.
+
+    ``probability`` is that of the first hypothesis; with ``no_overlap_probability`` and the other hypotheses' it sums
+    to 1. ``T12`` is None where there is no hypothesis; ``mixture_covariance`` (3, 3) includes the spread between modes.
+    """
+
+    maps: tuple[str, str]
+    decision: PairDecision
+    probability: float
+    no_overlap_probability: float
+    hypotheses: tuple[RankedHypothesis, ...]
+    correspondences: tuple[tuple[str, str], ...]
+    reason: str
+    mixture_covariance: Array | None = None
+    overruled_by: tuple[str, ...] | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.mixture_covariance is not None:
+            object.__setattr__(self, "mixture_covariance", frozen_array(self.mixture_covariance))
+
+    def __eq__(self, other: object) -> bool:
+        return same_fields(self, other)
+
+    def __hash__(self) -> int:
+        return hash((self.maps, self.decision, self.probability))
+
+    @property
+    def T12(self) -> Transform | None:
+        """The first hypothesis' transformation."""
+        return self.hypotheses[0].T12 if self.hypotheses else None
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Pose of one map's coordinate system in its group's reference frame (that of the group's first map)."""
+
+    group: int
+    T: Transform
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FusedLandmark:
+    """A landmark of the merged map: once, with all its sources.
+
+    ``covariance``: 3x3 over (x, y, heading) in the group's frame, 2x2 without heading. ``sources``: map name -> ids.
+    ``existence``: probability that it is there, from who saw it and who passed without seeing it.
+    """
+
+    id: str
+    group: int
+    type: str
+    x: float
+    y: float
+    heading: float | None
+    covariance: Array
+    sources: Mapping[str, tuple[str, ...]]
+    existence: float
+    links: tuple[Link, ...] = ()
+    visit_counter: int = 1
+    detection_counter: int = 1
+    extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", frozen_array(self.covariance))
+
+    def __eq__(self, other: object) -> bool:
+        return same_fields(self, other)
+
+    def __hash__(self) -> int:
+        return hash((self.id, self.x, self.y))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FusedMap:
+    """The merged map with its uncertainty, or the reasons why there is none.
+
+    ``maps``: all input names; ``groups``: names sharing a frame, alone ones too; ``frames``: each map's pose in its
+    group; ``sources``: the input maps whole, by name (empty when not embedded); ``joint_covariances``: one per group
+    over all its landmarks (None where it was not kept, as in a file that was read back).
+    """
+
+    decision: Decision
+    probability: float
+    maps: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    frames: Mapping[str, Frame]
+    pairs: tuple[PairResult, ...]
+    landmarks: tuple[FusedLandmark, ...]
+    provenance: Mapping[str, Any]
+    sources: Mapping[str, LandmarkMap] = field(default_factory=dict)
+    joint_covariances: tuple[JointCovariance | None, ...] = field(default=(), compare=False)
+    extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def __eq__(self, other: object) -> bool:
+        return same_fields(self, other)
+
+    def __hash__(self) -> int:
+        return hash((self.decision, self.probability, self.maps))
