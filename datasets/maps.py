@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .values import frozen_array, same_fields
+from .values import frozen_array, rebuilt, same_fields
 
 Array = NDArray[np.float64]
 LinkType = Literal["open", "blocked", "door", "unknown"]
@@ -63,6 +63,7 @@ class Landmark:
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False, hash=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "links", tuple(self.links))
         if self.covariance is not None:
             object.__setattr__(self, "covariance", frozen_array(self.covariance))
 
@@ -71,6 +72,9 @@ class Landmark:
 
     def __hash__(self) -> int:
         return hash((self.id, self.type, self.x, self.y))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +119,10 @@ class JointCovariance:
     order: tuple[str, ...]
     rows: int
     matrix: Array
+    extra: Mapping[str, Any] = field(default_factory=dict, repr=False, hash=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "order", tuple(self.order))
         object.__setattr__(self, "matrix", frozen_array(self.matrix))
 
     def __eq__(self, other: object) -> bool:
@@ -124,6 +130,9 @@ class JointCovariance:
 
     def __hash__(self) -> int:
         return hash((self.order, self.rows))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +171,9 @@ class LandmarkMap:
 
     def __hash__(self) -> int:
         return hash((self.name, len(self.landmarks)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
 
     def __len__(self) -> int:
         return len(self.landmarks)

@@ -28,8 +28,11 @@ def wrap(angle: ArrayLike) -> Array:
     >>> float(wrap(3 * np.pi)) == np.pi
     True
     """
-    turned = np.asarray(angle, dtype=float)
-    return np.pi - np.mod(np.pi - turned, 2 * np.pi)
+    angle = np.asarray(angle, dtype=float)
+    turned = np.pi - np.mod(np.pi - angle, 2 * np.pi)
+    # an angle in range keeps every bit, and one just above pi must not round to -pi, which is out of range
+    turned = np.where(turned <= -np.pi, np.pi, turned)
+    return np.where((angle > -np.pi) & (angle <= np.pi), angle, turned)[()]
 
 
 def rotation(theta: ArrayLike) -> Array:
@@ -80,7 +83,7 @@ def _v_matrix(omega: Array) -> Array:
     small = np.abs(omega) < 1e-5
     safe = np.where(small, 1.0, omega)
     a = np.where(small, 1 - omega**2 / 6, np.sin(safe) / safe)
-    b = np.where(small, omega / 2 - omega**3 / 24, (1 - np.cos(safe)) / safe)
+    b = np.where(small, omega / 2 - omega**3 / 24, 2 * np.sin(safe / 2) ** 2 / safe)  # (1 - cos) / omega
     return np.stack([np.stack([a, -b], axis=-1), np.stack([b, a], axis=-1)], axis=-2)
 
 
@@ -195,7 +198,8 @@ def align(points1: ArrayLike, points2: ArrayLike, sigma: ArrayLike = 1.0) -> Ali
     ``sum w (q2 x q1) , sum w (q2 . q1)`` over the centred points q. The covariance is the inverse of
     ``sum J' J / sigma^2`` with J = d(T12 p2)/dT12.
 
-    Raises `UndeterminedError` for fewer than two distinct points.
+    Raises `UndeterminedError` for fewer than two distinct points, and where every rotation fits alike (a square
+    against its mirror image).
 
     >>> p2 = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0]])
     >>> align(transform([1.0, 2.0, 0.5], p2), p2).T12.round(9).tolist()
@@ -211,6 +215,8 @@ def align(points1: ArrayLike, points2: ArrayLike, sigma: ArrayLike = 1.0) -> Ali
         raise UndeterminedError("an alignment needs two distinct points or more")
     cross = w @ (q2[:, 0] * q1[:, 1] - q2[:, 1] * q1[:, 0])
     dot = w @ (q1 * q2).sum(axis=1)
+    if not np.hypot(cross, dot) > 1e-12 * (w @ (np.hypot(*q1.T) * np.hypot(*q2.T))):
+        raise UndeterminedError("an alignment of points that every rotation fits alike has no answer")
     theta = np.arctan2(cross, dot)
     T12 = np.array([*(m1 - rotation(theta) @ m2), theta])
     J, _ = transform_jacobians(T12, p2)

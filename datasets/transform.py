@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import se2
-from .values import frozen_array, same_fields
+from .values import frozen_array, rebuilt, same_fields
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,9 @@ class Transform:
 
     def __hash__(self) -> int:
         return hash((self.x, self.y, self.theta))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
 
     @classmethod
     def from_array(cls, pose: ArrayLike, covariance: ArrayLike | None = None) -> Transform:

@@ -10,12 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def frozen_array(values: ArrayLike) -> NDArray[np.float64]:
-    """A read-only float array; an array that is already one is returned as it is."""
+    """A read-only float array that nobody else can write to; one that is already such is returned as it is."""
     array = np.asarray(values, dtype=np.float64)
-    if array.flags.writeable:
+    # a read-only view still changes with the array that it looks into
+    if array.flags.writeable or array.base is not None:
         array = array.copy()
         array.flags.writeable = False
     return array
+
+
+def rebuilt(value: Any) -> tuple[Any, ...]:
+    """What ``__reduce__`` returns so that copies and unpickled values pass the constructor and are frozen again.
+
+    An array that was pickled or deep-copied by itself comes back writeable.
+    """
+    return type(value), tuple(getattr(value, f.name) for f in fields(value))
 
 
 def _same(a: Any, b: Any) -> bool:

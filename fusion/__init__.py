@@ -1,0 +1,38 @@
+"""Solve, judge, merge, show: from several recorded maps to one with its uncertainty.
+
+The names below are loaded when they are first used: importing ``mapfuse.fusion`` alone takes no time, so that
+the command line answers ``--help`` without loading numpy and GTSAM.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .config import FuseConfig
+    from .fusedfile import read_fused, write_fused
+    from .pair import fuse
+    from .result import FusedMap
+
+__all__ = ["FuseConfig", "FusedMap", "fuse", "read_fused", "write_fused"]
+
+_MODULE_FROM_NAME = {
+    "FuseConfig": "config",
+    "FusedMap": "result",
+    "fuse": "pair",
+    "read_fused": "fusedfile",
+    "write_fused": "fusedfile",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_FROM_NAME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".{_MODULE_FROM_NAME[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,118 @@
+"""Where a map's frame is: anchors of landmarks in it, priors on it, and the gauge (measurement model, rows 6 and 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mapfuse.datasets import arms, se2
+from mapfuse.datasets.errors import MapfuseError
+from mapfuse.datasets.maps import Landmark, LandmarkMap
+
+from .axes import point_to_body
+from .keys import FrameKey, LandmarkKey
+from .link import travelled_links
+from .measurement import Between, Prior, Triple
+from .noise import LOOSE_POSITION, LOOSE_ROTATION, TIGHT, PoseNoise
+
+
+@dataclass(frozen=True, slots=True)
+class FrameAnchor(Between):
+    """A landmark's recorded position seen from its map's frame; its rotation says nothing (`HeadingPrior` does)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TransformPrior(Prior):
+    """A weak prior on ``T_r``, so that no graph floats."""
+
+    @classmethod
+    def weak(cls, r: int, T: ArrayLike) -> TransformPrior:
+        """Around the hypothesis ``T`` (3,), with `LOOSE_POSITION` and `LOOSE_ROTATION`: it doesn't pull."""
+        noise = PoseNoise.from_sigmas(LOOSE_POSITION, LOOSE_POSITION, LOOSE_ROTATION)
+        return cls(FrameKey(r), pose_triple(T), noise)
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge(Prior):
+    """The reference map's frame, held where it is: the merged frame is that map's frame."""
+
+    @classmethod
+    def held(cls, r: int, T: ArrayLike) -> Gauge:
+        """At ``T`` (3,), with `TIGHT` in all rows."""
+        return cls(FrameKey(r), pose_triple(T), PoseNoise.from_sigmas(TIGHT, TIGHT, TIGHT))
+
+
+def pose_triple(T: ArrayLike) -> Triple:
+    """A pose (3,) as plain floats; raises `MapfuseError` for another shape."""
+    pose = np.asarray(T, dtype=float)
+    if pose.shape != (3,):
+        raise MapfuseError(f"a transformation needs x, y and theta, not an array of shape {pose.shape}")
+    return float(pose[0]), float(pose[1]), float(pose[2])
+
+
+def components(recorded: LandmarkMap) -> tuple[tuple[str, ...], ...]:
+    """Ids of the landmarks whose relative positions the links determine, each group and all of them by id.
+
+    Two landmarks are linked where either recorded the distance and the direction to the other; a landmark without
+    such a link is a group of its own.
+    """
+    parent = {name: name for name in recorded.ids}
+
+    def root(name: str) -> str:
+        while parent[name] != name:
+            parent[name] = parent[parent[name]]
+            name = parent[name]
+        return name
+
+    for landmark in recorded.landmarks:
+        for link, far in travelled_links(recorded, landmark):
+            if link.heading is not None:
+                parent[root(far.id)] = root(landmark.id)
+    groups: dict[str, list[str]] = {}
+    for name in sorted(recorded.ids):
+        groups.setdefault(root(name), []).append(name)
+    return tuple(sorted(tuple(group) for group in groups.values()))
+
+
+def nearest_to_start(recorded: LandmarkMap, ids: Iterable[str]) -> Landmark:
+    """Of these landmarks the one recorded nearest to the robot's start, whatever their order.
+
+    Of several at the same distance (to a micrometre) the one seen most often, with most links, first
+    counter-clockwise from the start's heading, and only then the first by id.
+    """
+    x, y, theta = recorded.start
+
+    def rank(landmark: Landmark) -> tuple[float, int, int, float, str]:
+        dx, dy = landmark.x - x, landmark.y - y
+        bearing = float(np.mod(np.arctan2(dy, dx) - theta + 1e-6, 2 * np.pi))
+        distance = round(float(np.hypot(dx, dy)), 6)
+        return distance, -landmark.visit_counter, -len(landmark.links), round(bearing, 6), landmark.id
+
+    return min((recorded[name] for name in ids), key=rank)
+
+
+def anchor(recorded: LandmarkMap, r: int, landmark: Landmark) -> FrameAnchor:
+    """The recorded position of a landmark, with its own covariance where it has one, else ``position_sigma``."""
+    h = arms.heading_of(landmark) or 0.0
+    position = (
+        recorded.noise.position_sigma**2 * np.eye(2)
+        if landmark.covariance is None
+        else landmark.covariance[:2, :2]
+    )
+    noise = PoseNoise.from_covariance(point_to_body(h, position), LOOSE_ROTATION)
+    measured = (landmark.x, landmark.y, float(se2.wrap(h)))
+    return FrameAnchor(FrameKey(r), LandmarkKey(r, landmark.id), measured, noise)
+
+
+def frame_anchors(recorded: LandmarkMap, r: int, explained: frozenset[str] = frozenset()) -> Iterator[FrameAnchor]:
+    """One anchor for each group of linked landmarks, that is also for each landmark which no link explains.
+
+    ``explained``: landmarks whose positions are known otherwise (by a joint covariance); a group with one of them
+    needs no anchor.
+    """
+    for group in components(recorded):
+        if explained.isdisjoint(group):
+            yield anchor(recorded, r, nearest_to_start(recorded, group))

@@ -1,0 +1,56 @@
+"""Headings: which way a landmark faces, seen from its map's frame (measurement model, row 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapfuse.datasets import arms
+from mapfuse.datasets.maps import Landmark, LandmarkMap
+
+from .keys import FrameKey, LandmarkKey
+from .measurement import Between
+from .noise import TIGHT, PoseNoise
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingPrior(Between):
+    """A landmark's heading seen from its map's frame; its position says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class RotationPin(Between):
+    """The rotation of a landmark without heading, held to its map's frame, where it means nothing."""
+
+
+def heading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
+    """Standard deviation [rad] of a landmark's heading: ``heading_sigma sqrt(1/2 + 1/(2k))`` with k arms.
+
+    Without arms that of its own 3x3 covariance, else ``heading_sigma``.
+    """
+    k = len(arms.signature(landmark).headings)
+    if k:
+        return float(recorded.noise.heading_sigma * np.sqrt(0.5 + 0.5 / k))
+    if landmark.covariance is not None and landmark.covariance.shape == (3, 3):
+        return float(np.sqrt(max(0.0, landmark.covariance[2, 2])))
+    return float(recorded.noise.heading_sigma)
+
+
+def heading_measurements(
+    recorded: LandmarkMap, r: int, known: frozenset[str] = frozenset()
+) -> Iterator[HeadingPrior | RotationPin]:
+    """A prior for each landmark with a heading, a pin for each without, by id.
+
+    ``known``: landmarks whose headings a joint covariance gives.
+    """
+    for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
+        h = arms.heading_of(landmark)
+        key = LandmarkKey(r, landmark.id)
+        if h is None:
+            noise = PoseNoise.from_sigmas(np.inf, np.inf, TIGHT)
+            yield RotationPin(FrameKey(r), key, (0.0, 0.0, 0.0), noise)
+        elif landmark.id not in known:
+            noise = PoseNoise.from_sigmas(np.inf, np.inf, heading_sigma(recorded, landmark))
+            yield HeadingPrior(FrameKey(r), key, (0.0, 0.0, h), noise)

@@ -1,0 +1,160 @@
+"""Joint covariance: one Gaussian over all landmarks of a map that carries one (measurement model, row 8).
+
+The residual is in the map's own axes, ``T_r^-1`` applied to each landmark less its recorded pose, so it is exact under
+any rotation of ``T_r``. It has no native factor: a ``gtsam.CustomFactor`` with analytic Jacobians, one Python call
+per iteration. GTSAM crashes where such a factor leaves its Jacobians unfilled and takes wrong shapes in silence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from mapfuse.datasets import arms, se2
+from mapfuse.datasets.errors import MapError, MapfuseError, Problem
+from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets.values import frozen_array
+
+from .keys import FrameKey, KeyBook, LandmarkKey, Unknown
+from .measurement import Array, Poses, squared_error
+from .noise import floored_eigen
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class JointMeasurement:
+    """Landmarks' poses (n, 3) seen from their map's ``frame``, with a joint square root information.
+
+    ``recorded`` (n, 3): x, y [m], theta [rad]. ``places`` (m,): which of the 3n numbers, landmark by landmark, are
+    measured. ``sqrt_information`` (m, m): W with ``W' W = C^-1``.
+    """
+
+    frame: FrameKey
+    landmarks: tuple[LandmarkKey, ...]
+    recorded: Array
+    places: tuple[int, ...]
+    sqrt_information: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "recorded", frozen_array(self.recorded))
+        object.__setattr__(self, "sqrt_information", frozen_array(self.sqrt_information))
+        n, m = len(self.landmarks), len(self.places)
+        if self.recorded.shape != (n, 3) or self.sqrt_information.shape != (m, m):
+            raise MapfuseError(f"a joint measurement of {n} landmarks and {m} numbers has arrays of other shapes")
+        if not (np.isfinite(self.recorded).all() and np.isfinite(self.sqrt_information).all()):
+            raise MapfuseError("a joint measurement has numbers that are not finite")
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """The frame, then the landmarks."""
+        return self.frame, *self.landmarks
+
+    @property
+    def log_normaliser(self) -> float:
+        """Log of its density's factor [nats]."""
+        log_det = float(np.linalg.slogdet(self.sqrt_information)[1])
+        return log_det - len(self.places) / 2 * float(np.log(2 * np.pi))
+
+    def residual(self, poses: Poses) -> Array:
+        """The whitened residual (m,)."""
+        return self._whitened(poses[self.frame], np.array([poses[key] for key in self.landmarks]))
+
+    def error(self, poses: Poses) -> float:
+        """``|residual|^2 / 2`` [nats]."""
+        return squared_error(self.residual(poses), None)
+
+    def _whitened(self, T: Array, landmarks: Array) -> Array:
+        off = se2.between(T, landmarks) - self.recorded
+        off[:, 2] = se2.wrap(off[:, 2])
+        return np.asarray(self.sqrt_information @ off.reshape(-1)[list(self.places)])
+
+    def jacobians(self, T: Array, landmarks: Array) -> tuple[Array, Array]:
+        """Of the residual by the body tangents of the frame (m, 3) and of each landmark (n, m, 3).
+
+        With p the landmark in the map's frame: dp = R_T' R_i v_i - v_T - omega_T (-p_y, p_x).
+        """
+        n, places = len(landmarks), list(self.places)
+        seen = se2.between(T, landmarks)
+        by_frame = np.tile(-np.eye(3), (n, 1, 1))
+        by_frame[:, 0, 2], by_frame[:, 1, 2] = seen[:, 1], -seen[:, 0]
+        by_landmark = np.zeros((n, 3, 3))
+        by_landmark[:, :2, :2] = se2.rotation(seen[:, 2])
+        by_landmark[:, 2, 2] = 1
+        whole = np.zeros((n, len(places), 3))
+        columns: list[list[int]] = [[] for _ in range(n)]
+        for column, place in enumerate(places):
+            columns[place // 3].append(column)
+        for i, own in enumerate(columns):
+            rows = [places[column] % 3 for column in own]
+            whole[i] = self.sqrt_information[:, own] @ by_landmark[i][rows]
+        return self.sqrt_information @ by_frame.reshape(-1, 3)[places], whole
+
+    def factor(self, keys: KeyBook) -> Any:
+        """A ``CustomFactor`` on the frame and the landmarks."""
+        frame, *landmarks = keys.keys(self.unknowns)
+
+        def residual(_: Any, values: Any, jacobians: Any) -> Array:
+            T = _pose(values, frame)
+            poses = np.array([_pose(values, key) for key in landmarks])
+            if jacobians is not None:
+                by_frame, by_landmark = self.jacobians(T, poses)
+                jacobians[0] = np.asfortranarray(by_frame)
+                for k, block in enumerate(by_landmark, start=1):
+                    jacobians[k] = np.asfortranarray(block)
+            return self._whitened(T, poses)
+
+        model = gtsam.noiseModel.Unit.Create(len(self.places))
+        return gtsam.CustomFactor(model, [frame, *landmarks], residual)
+
+
+def _pose(values: Any, key: int) -> Array:
+    pose = values.atPose2(key)
+    return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+def joint_measurement(recorded: LandmarkMap, r: int) -> JointMeasurement | None:
+    """The joint covariance of map ``r`` as a measurement; None where it has none or that of no landmark.
+
+    A singular covariance is allowed (a merged map's own frame is known exactly): eigenvalues are raised to
+    `noise.TIGHT` squared. Of a landmark without heading the third row is left out.
+
+    Raises `MapError` where ``order`` names a landmark that the map doesn't have, or one twice, or the matrix isn't
+    a covariance of that size.
+    """
+    joint = recorded.joint_covariance
+    if joint is None or not joint.order:
+        return None
+    _check(recorded, joint.order, joint.rows, joint.matrix.shape)
+    landmarks = [recorded[name] for name in joint.order]
+    headings = [arms.heading_of(landmark) for landmark in landmarks]
+    poses = np.array([(l.x, l.y, h or 0.0) for l, h in zip(landmarks, headings, strict=True)])
+    kept = [
+        (i, row)
+        for i, h in enumerate(headings)
+        for row in range(joint.rows)
+        if row < 2 or h is not None
+    ]
+    rows = [i * joint.rows + row for i, row in kept]
+    try:
+        values, vectors = floored_eigen(joint.matrix[np.ix_(rows, rows)])
+    except MapfuseError as error:
+        raise MapError(recorded.name, (Problem("joint_covariance.matrix", str(error)),)) from error
+    W = (vectors / np.sqrt(values)).T
+    keys = tuple(LandmarkKey(r, name) for name in joint.order)
+    return JointMeasurement(FrameKey(r), keys, poses, tuple(3 * i + row for i, row in kept), W)
+
+
+def _check(recorded: LandmarkMap, order: Sequence[str], rows: int, shape: tuple[int, ...]) -> None:
+    strangers = [name for name in order if name not in recorded.index_from_id]
+    reasons = []
+    if strangers:
+        reasons.append(Problem("joint_covariance.order", f"names {strangers[0]!r}, which is not in the map"))
+    if len(set(order)) < len(order):
+        reasons.append(Problem("joint_covariance.order", "names a landmark twice"))
+    if rows not in (2, 3) or shape != (rows * len(order), rows * len(order)):
+        reasons.append(Problem("joint_covariance.matrix", f"is {shape}, not {rows} rows for each landmark"))
+    if reasons:
+        raise MapError(recorded.name, tuple(reasons))

@@ -1,0 +1,217 @@
+"""Links: where a landmark lies seen from another one that the robot travelled to (measurement model, rows 3 to 5).
+
+A link is recorded at either end or at both; each end is a reading of its own, in the frame of the landmark there,
+except for what the two ends share: a distance or a direction that stands equal at both is one reading, of which each
+end carries half of the information. A link from a landmark to itself measures nothing and is left out, as is one with
+a direction but no distance: without a distance nothing is known of how far the other end is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from mapfuse.datasets import arms, se2
+from mapfuse.datasets.errors import MapError, MapfuseError, Problem
+from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
+
+from .keys import KeyBook, LandmarkKey, Unknown
+from .measurement import Array, Between, Poses, squared_error
+from .noise import LOOSE_ROTATION, TIGHT, PoseNoise
+
+#: An arm and the recorded displacement that disagree by more belong to a bent link [rad].
+BENT = float(np.deg2rad(20.0))
+#: Headings at the two ends of a link that are opposite to within this are one reading [rad].
+OPPOSITE = 1e-3
+#: Smallest standard deviation of an arm's direction relative to its landmark's heading [rad].
+LEAST_DIRECTION_SIGMA = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMeasurement(Between):
+    """Landmark ``b`` seen from landmark ``a`` by the link recorded at ``a``; its rotation says nothing.
+
+    ``bent``: a corner between them was not detected, so the recorded displacement stands in for distance and arm.
+    """
+
+    bent: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RangeMeasurement:
+    """The distance [m] between two landmarks, of a link whose direction was not recorded at either end."""
+
+    a: LandmarkKey
+    b: LandmarkKey
+    distance: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.distance) and self.distance >= 0 and np.isfinite(self.sigma) and self.sigma > 0):
+            raise MapfuseError(f"the range {self.a}-{self.b} has a distance or sigma out of bounds: {self}")
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """``a`` and ``b``."""
+        return self.a, self.b
+
+    @property
+    def log_normaliser(self) -> float:
+        """Log of its density's factor [nats]."""
+        return float(-np.log(self.sigma) - np.log(2 * np.pi) / 2)
+
+    def residual(self, poses: Poses) -> Array:
+        """The whitened residual (1,)."""
+        length = np.linalg.norm(poses[self.b][:2] - poses[self.a][:2])
+        return np.array([(length - self.distance) / self.sigma])
+
+    def error(self, poses: Poses) -> float:
+        """``|residual|^2 / 2`` [nats]."""
+        return squared_error(self.residual(poses), None)
+
+    def factor(self, keys: KeyBook) -> Any:
+        """A ``RangeFactorPose2``."""
+        model = gtsam.noiseModel.Isotropic.Sigma(1, self.sigma)
+        return gtsam.RangeFactorPose2(keys.key(self.a), keys.key(self.b), self.distance, model)
+
+
+def travelled_links(recorded: LandmarkMap, landmark: Landmark) -> Iterator[tuple[Link, Landmark]]:
+    """Links of a landmark with a distance to another landmark, and that landmark, in an order that the file's has
+    no part in.
+
+    Raises `MapError` where a link names a landmark that the map doesn't have.
+    """
+    order = sorted(
+        (link for link in landmark.links if link.connected_to_id is not None and link.distance is not None),
+        key=lambda l: (l.connected_to_id or "", l.distance or 0.0, l.heading is None, l.heading or 0.0),
+    )
+    for link in order:
+        place = recorded.index_from_id.get(link.connected_to_id or "")
+        if place is None:
+            reason = f"a link leads to {link.connected_to_id!r}, which is not in the map"
+            raise MapError(recorded.name, (Problem(f"landmark {landmark.id}", reason),))
+        if recorded.landmarks[place].id != landmark.id:
+            yield link, recorded.landmarks[place]
+
+
+def twin(recorded: LandmarkMap, landmark: Landmark, link: Link) -> Link | None:
+    """The same link as the landmark at its other end recorded it, or None.
+
+    Where two links join the same two landmarks, the twin is that of the nearest distance, then of the direction
+    nearest to the opposite one.
+    """
+
+    def unlike(other: Link) -> tuple[float, float]:
+        gap = abs((other.distance or 0.0) - (link.distance or 0.0))
+        if link.heading is None or other.heading is None:
+            return gap, np.pi
+        return gap, float(abs(se2.wrap(other.heading - link.heading - np.pi)))
+
+    far = recorded[link.connected_to_id or ""]
+    back = [other for other, target in travelled_links(recorded, far) if target.id == landmark.id]
+    return min(back, key=unlike, default=None)
+
+
+def is_bent(recorded: LandmarkMap, landmark: Landmark, link: Link) -> bool:
+    """Whether the robot turned a corner between the two landmarks of a link that it did not detect (row 5).
+
+    So it is where the arm's heading at either end and the recorded displacement disagree by more than `BENT`: such
+    a link is a diagonal that nobody travelled. A link without distance or heading is never called bent.
+
+    >>> a = Landmark("a", "door", 0.0, 0.0, links=(Link("open", 0.0, None, "b", 7.0, 1),))
+    >>> m = LandmarkMap("m", (a, Landmark("b", "door", 4.0, 3.0)))
+    >>> is_bent(m, a, a.links[0])
+    True
+    """
+    if link.heading is None or link.distance is None or link.connected_to_id in (None, landmark.id):
+        return False
+    other = twin(recorded, landmark, link)
+    far = recorded[link.connected_to_id or ""]
+    return _leaves_chord(landmark, far, link) or (other is not None and _leaves_chord(far, landmark, other))
+
+
+def _leaves_chord(landmark: Landmark, far: Landmark, link: Link) -> bool:
+    """Whether an arm points elsewhere than to where the far landmark was recorded."""
+    if link.heading is None or (far.x == landmark.x and far.y == landmark.y):
+        return False
+    return bool(abs(se2.wrap(_chord(landmark, far) - link.heading)) > BENT)
+
+
+def _chord(landmark: Landmark, far: Landmark) -> float:
+    return float(np.arctan2(far.y - landmark.y, far.x - landmark.x))
+
+
+def link_measurements(recorded: LandmarkMap, r: int) -> Iterator[LinkMeasurement | RangeMeasurement]:
+    """All that the links of map ``r`` measure, by landmark id.
+
+    A link without heading at either end is a range, but only where the recorded positions bear out that it is
+    straight (distance and recorded displacement within three standard deviations of each other).
+    """
+    for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
+        for link, far in travelled_links(recorded, landmark):
+            other = twin(recorded, landmark, link)
+            if link.heading is not None:
+                yield _displacement(recorded, r, landmark, far, link, other)
+            elif other is None or other.heading is None or not _same_distance(link, other):
+                found = _range(recorded, r, landmark, far, link, other)
+                if found is not None:
+                    yield found
+
+
+def _same_distance(link: Link, other: Link) -> bool:
+    return abs((link.distance or 0.0) - (other.distance or 0.0)) <= 1e-9 * max(1.0, link.distance or 0.0)
+
+
+def _displacement(
+    recorded: LandmarkMap, r: int, landmark: Landmark, far: Landmark, link: Link, other: Link | None
+) -> LinkMeasurement:
+    h_i, h_j = arms.heading_of(landmark) or 0.0, arms.heading_of(far) or 0.0
+    assert link.heading is not None
+    assert link.distance is not None
+    noise, d = recorded.noise, link.distance
+    shares = other is not None and other.heading is not None
+    bent = is_bent(recorded, landmark, link)
+    if bent:
+        length, direction = float(np.hypot(far.x - landmark.x, far.y - landmark.y)), _chord(landmark, far)
+        along, across = noise.distance_sigma(d), d * noise.heading_sigma
+        same_length = same_direction = shares
+    else:
+        k = len(arms.signature(landmark).headings)
+        relative = noise.heading_sigma * np.sqrt((1 - 1 / k) / 2)
+        length, direction = d, link.heading
+        along = noise.distance_sigma(d, link.travel_counter)
+        across = d * max(float(relative), LEAST_DIRECTION_SIGMA)
+        same_length = same_direction = False
+        if other is not None and other.heading is not None:
+            same_length = _same_distance(link, other)
+            same_direction = bool(abs(se2.wrap(other.heading - link.heading - np.pi)) <= OPPOSITE)
+    along *= np.sqrt(2) if same_length else 1.0
+    across *= np.sqrt(2) if same_direction else 1.0
+    relative_direction = direction - h_i
+    xy = length * np.array([np.cos(relative_direction), np.sin(relative_direction)])
+    turn = float(se2.wrap(h_j - h_i))
+    return LinkMeasurement(
+        LandmarkKey(r, landmark.id),
+        LandmarkKey(r, far.id),
+        (float(xy[0]), float(xy[1]), turn),
+        PoseNoise.from_axes(relative_direction - turn, along, across, LOOSE_ROTATION),
+        bent=bent,
+    )
+
+
+def _range(
+    recorded: LandmarkMap, r: int, landmark: Landmark, far: Landmark, link: Link, other: Link | None
+) -> RangeMeasurement | None:
+    assert link.distance is not None
+    noise = recorded.noise
+    sigma = max(TIGHT, noise.distance_sigma(link.distance, link.travel_counter))
+    chord = float(np.hypot(far.x - landmark.x, far.y - landmark.y))
+    if abs(link.distance - chord) > 3 * np.sqrt(sigma**2 + 2 * noise.position_sigma**2):
+        return None
+    shared = other is not None and other.heading is None and _same_distance(link, other)
+    sigma *= float(np.sqrt(2)) if shared else 1.0
+    return RangeMeasurement(LandmarkKey(r, landmark.id), LandmarkKey(r, far.id), link.distance, sigma)

@@ -1,0 +1,99 @@
+"""What the commands share: words to the user, and files that are checked before the long work begins."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
+
+
+class UsageError(Exception):
+    """Wrong usage: its text goes to the user as it is, exit code 2."""
+
+
+def tolerate_any_text() -> None:
+    """Let a terminal without our characters (±, any map's name) show an escape instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="backslashreplace")
+
+
+def _without_controls(text: str) -> str:
+    # names come out of files: none of them may steer the terminal
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def say(text: str) -> None:
+    """Print to standard output; a reader that has gone away (``| head``) is no error."""
+    _write(_without_controls(text) + "\n")
+
+
+def say_bytes(data: bytes) -> None:
+    """Write bytes to standard output exactly as they are."""
+    _write(data)
+
+
+def _write(what: str | bytes) -> None:
+    if sys.stdout is None:
+        return
+    try:
+        if isinstance(what, bytes):
+            sys.stdout.flush()
+            sys.stdout.buffer.write(what)
+        else:
+            sys.stdout.write(what)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # what is still buffered must not fail again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def complain(text: str) -> None:
+    """Print one message to standard error."""
+    print(f"mapfuse: {_without_controls(text)}", file=sys.stderr)
+
+
+def note(text: str) -> None:
+    """Print a remark to standard error, where it does not mix with the result."""
+    print(_without_controls(text), file=sys.stderr)
+
+
+def check_outputs(path_from_option: Mapping[str, Path | None], inputs: Sequence[Path] = ()) -> None:
+    """Raise `UsageError` where an output can't be written, is an input, or two outputs are one file."""
+    option_from_target: dict[Path, str] = {}
+    sources = {Path(os.path.realpath(path)) for path in inputs}
+    for option, path in path_from_option.items():
+        if path is None:
+            continue
+        target = Path(os.path.realpath(path))
+        if target.is_dir():
+            raise UsageError(f"{option} {path}: is a folder; give a file name")
+        if not target.parent.is_dir():
+            raise UsageError(f"{option} {path}: there is no folder {path.parent}")
+        if target in sources:
+            raise UsageError(f"{option} {path}: is an input, which would be overwritten")
+        if target in option_from_target:
+            raise UsageError(f"{option} {path}: is the same file as that of {option_from_target[target]}")
+        if not os.access(target if target.exists() else target.parent, os.W_OK):
+            raise UsageError(f"{option} {path}: may not be written")
+        option_from_target[target] = option
+
+
+def check_picture(option: str, path: Path | None) -> None:
+    """Raise `UsageError` where the file's ending is no picture format."""
+    if path is not None and path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise UsageError(f"{option} {path}: a picture's name ends in one of {', '.join(PICTURE_SUFFIXES)}")
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raise `UsageError` where what the block writes to ``path`` can't be written."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"{path}: can't be written: {error.strerror or error}") from error

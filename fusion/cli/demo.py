@@ -1,0 +1,92 @@
+"""``mapfuse demo``: the built-in recordings fused, with pictures, in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .console import UsageError, say, whole_or_absent
+
+if TYPE_CHECKING:
+    from mapfuse.datasets.maps import LandmarkMap
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One pair of maps: its name in the folder, what it is, and how to get it."""
+
+    name: str
+    about: str
+    load: Callable[[], Sequence[LandmarkMap]]
+
+
+def _built_in(*names: str) -> Callable[[], Sequence[LandmarkMap]]:
+    def load() -> Sequence[LandmarkMap]:
+        from mapfuse.datasets import read_map, recordings
+
+        return [read_map(recordings.path(name)) for name in names]
+
+    return load
+
+
+def _victoria_park() -> Sequence[LandmarkMap]:
+    from mapfuse.datasets.victoria_park import victoria_park_halves
+
+    return victoria_park_halves()
+
+
+CASES = (
+    Case(
+        "same-floor",
+        "simulated: one corridor floor, mapped by two robots",
+        _built_in("one", "two"),
+    ),
+    Case(
+        "different-floors",
+        "simulated: two different floors, which must not be merged",
+        _built_in("one", "three"),
+    ),
+    Case(
+        "victoria-park",
+        "cut from one real drive (Victoria Park, from GTSAM's examples): its halves as two robots",
+        _victoria_park,
+    ),
+)
+
+
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="The folder to write into.")] = Path(
+        "mapfuse-demo"
+    ),
+) -> None:
+    """Fuse the built-in recordings; write maps, results and pictures into a folder, and say what each is."""
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"-o {output}: {error.strerror or error}") from error
+    for case in CASES:
+        _run(case, output)
+    say(f"Pictures, results and maps are in {output}")
+
+
+def _run(case: Case, folder: Path) -> None:
+    from mapfuse.datasets import write_map
+    from mapfuse.fusion import fuse, write_fused
+    from mapfuse.fusion.show import draw_fused
+
+    from .summary import summarise
+
+    maps = case.load()
+    fused = fuse(maps)
+    recorded = [folder / f"{map_.name}.map.json" for map_ in maps]
+    result, picture = folder / f"{case.name}.fused.json", folder / f"{case.name}.png"
+    with whole_or_absent([*recorded, result, picture]) as draft:
+        for path, map_ in zip(recorded, maps, strict=True):
+            write_map(map_, draft[path])
+        write_fused(fused, draft[result])
+        draw_fused(fused, draft[picture])
+    say(f"{case.name} ({case.about})\n{summarise(fused)}\n  wrote {result}, {picture}\n")

@@ -1,0 +1,167 @@
+"""``mapfuse fuse``: recorded maps into one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .console import (
+    UsageError,
+    check_inputs,
+    check_outputs,
+    check_picture,
+    note,
+    say,
+    say_bytes,
+    whole_or_absent,
+)
+
+if TYPE_CHECKING:
+    from mapfuse.datasets.maps import LandmarkMap
+    from mapfuse.fusion import FuseConfig, FusedMap
+
+
+class Mode(StrEnum):
+    """How hypotheses are proposed."""
+
+    default = "default"
+    paper = "paper"
+
+
+def fuse_files(
+    maps: Annotated[list[Path], typer.Argument(help="Recorded maps (NAME.map.json).", metavar="MAP")],
+    *,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The result, OUT.fused.json.", show_default=False)
+    ] = None,
+    plot: Annotated[Path | None, typer.Option("--plot", help="A picture of the result: .png, .svg, .pdf.")] = None,
+    merged_map: Annotated[
+        Path | None, typer.Option("--map", help="The merged map as a map again, OUT.map.json.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The result file on standard output.")] = False,
+    no_embed: Annotated[bool, typer.Option("--no-embed", help="Leave the input maps out of the result file.")] = False,
+    require_merge: Annotated[
+        bool, typer.Option("--require-merge", help="Exit with 3 where not all maps were merged.")
+    ] = False,
+    accept: Annotated[
+        float | None,
+        typer.Option("--accept", metavar="P", help="Merge from this probability on (default 0.99)."),
+    ] = None,
+    overlap_prior: Annotated[
+        float | None,
+        typer.Option("--overlap-prior", metavar="P", help="Probability, before looking, of overlap (0.5)."),
+    ] = None,
+    mode: Annotated[Mode | None, typer.Option("--mode", help="How hypotheses are proposed.")] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", metavar="FILE", help="Parameters; see `mapfuse config`.")
+    ] = None,
+) -> None:
+    """Fuse recorded maps, whose relative start is unknown, and say how sure the answer is.
+
+    Exit code 0 whatever was decided: "no overlap" is an answer.
+    """
+    if len(maps) < 2:
+        raise UsageError("give at least two maps to fuse")
+    check_inputs([*maps, *([config] if config else [])])
+    check_picture("--plot", plot)
+    check_outputs({"-o": output, "--plot": plot, "--map": merged_map}, [*maps, *([config] if config else [])])
+    settings = _settings(config, accept, overlap_prior, mode)
+    recorded = read_maps(maps)
+
+    from mapfuse.fusion import fuse
+
+    fused = fuse(recorded, settings)
+    _write(fused, output, plot, merged_map, as_json=as_json, embed=not no_embed)
+    if require_merge and fused.decision != "merged":
+        raise typer.Exit(3)
+
+
+def _settings(config: Path | None, accept: float | None, overlap_prior: float | None, mode: Mode | None) -> FuseConfig:
+    from mapfuse.fusion.config import FuseConfig
+
+    settings = FuseConfig()
+    if config is not None:
+        from .parameters import config_from_toml
+
+        settings = config_from_toml(config)
+    if accept is not None:
+        settings = replace(settings, decision=replace(settings.decision, accept=accept))
+    if overlap_prior is not None:
+        settings = replace(settings, decision=replace(settings.decision, overlap_prior=overlap_prior))
+    if mode is not None:
+        settings = replace(settings, matching=replace(settings.matching, mode=mode.value))
+    return settings
+
+
+def read_maps(paths: Sequence[Path]) -> list[LandmarkMap]:
+    """Read maps; raises `UsageError` with the errors of all files, or where two maps have one name."""
+    from mapfuse.datasets import read_map
+    from mapfuse.datasets.errors import MapfuseError
+
+    maps: list[LandmarkMap] = []
+    wrong: list[str] = []
+    for path in paths:
+        try:
+            maps.append(read_map(path))
+        except MapfuseError as error:
+            wrong.append(str(error))
+        except OSError as error:
+            wrong.append(f"{path}: {error.strerror or error}")
+    if wrong:
+        raise UsageError("\n".join(wrong))
+    path_from_name: dict[str, Path] = {}
+    for path, map_ in zip(paths, maps, strict=True):
+        if map_.name in path_from_name:
+            raise UsageError(
+                f"{path_from_name[map_.name]} and {path}: both maps are named {map_.name!r}; "
+                "names tell maps apart, so give them different ones"
+            )
+        path_from_name[map_.name] = path
+    return maps
+
+
+def _write(
+    fused: FusedMap, output: Path | None, plot: Path | None, merged_map: Path | None, *, as_json: bool, embed: bool
+) -> None:
+    from mapfuse.datasets import write_map
+    from mapfuse.fusion import write_fused
+
+    kept = fused if embed else replace(fused, sources={})
+    one_frame = fused.decision == "merged"
+    targets = [path for path in (output, plot, merged_map if one_frame else None) if path is not None]
+    if targets:
+        with whole_or_absent(targets) as draft:
+            if output is not None:
+                write_fused(kept, draft[output])
+            if plot is not None:
+                from mapfuse.fusion.show import draw_fused
+
+                draw_fused(fused, draft[plot])
+            if merged_map is not None and one_frame:
+                write_map(fused.to_map(), draft[merged_map])
+    if as_json:
+        say_bytes(output.read_bytes() if output is not None else _encoded(kept))
+    else:
+        from .summary import summarise
+
+        say(summarise(fused))
+        for path in targets:
+            say(f"wrote {path}")
+    if merged_map is not None and not one_frame:
+        note(f"{merged_map} was not written: the maps were not merged")
+
+
+def _encoded(fused: FusedMap) -> bytes:
+    import tempfile
+
+    from mapfuse.fusion import write_fused
+
+    with tempfile.TemporaryDirectory(prefix="mapfuse-") as folder:
+        path = Path(folder) / "result.fused.json"
+        write_fused(fused, path)
+        return path.read_bytes()

@@ -1,0 +1,64 @@
+"""``mapfuse show``: a picture of a map or a result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import check_inputs, check_outputs, check_picture, say, whole_or_absent
+
+
+def show(
+    file: Annotated[Path, typer.Argument(help="A recorded map or a fused map.", metavar="FILE")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="The picture (.png, .svg, .pdf); by default FILE's name with .png."),
+    ] = None,
+) -> None:
+    """Draw a recorded map or a fused map."""
+    check_inputs([file])
+    picture = output if output is not None else Path(_stem(file) + ".png")
+    check_picture("-o", picture)
+    check_outputs({"-o": picture}, [file])
+
+    if _format_of(file).startswith("mapfuse.fused/"):
+        from mapfuse.fusion import read_fused
+        from mapfuse.fusion.show import draw_fused
+
+        from .summary import summarise
+
+        fused = read_fused(file)
+        with whole_or_absent([picture]) as draft:
+            draw_fused(fused, draft[picture])
+        say(summarise(fused))
+    else:
+        from mapfuse.datasets import read_map
+        from mapfuse.fusion.show import draw_map
+
+        map_ = read_map(file)
+        with whole_or_absent([picture]) as draft:
+            draw_map(map_, draft[picture])
+        say(f"{map_.name}: {len(map_)} landmarks")
+    say(f"wrote {picture}")
+
+
+def _stem(file: Path) -> str:
+    for ending in (".fused.json", ".map.json", ".json"):
+        if file.name.endswith(ending):
+            return file.name.removesuffix(ending)
+    return file.name
+
+
+def _format_of(file: Path) -> str:
+    """The file's own word for its format, empty where it has none: the reader of maps then says what is wrong."""
+    import msgspec
+
+    class Head(msgspec.Struct):
+        format: str = ""
+
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=Head).format
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return ""

@@ -1,0 +1,114 @@
+"""A result in words: what was decided, how sure it is, where the maps lie, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mapfuse.datasets.transform import Transform
+from mapfuse.fusion.result import FusedMap, PairResult
+
+#: Rivals beyond these are counted, not listed.
+_LISTED = 8
+
+_WORDS = {
+    "merged": "merged",
+    "partial": "partly merged",
+    "ambiguous": "ambiguous: nothing was merged",
+    "no_overlap": "no overlap: nothing was merged",
+}
+
+
+def summarise(fused: FusedMap) -> str:
+    """The whole answer as text of some ten lines."""
+    blocks = [f"{_WORDS[fused.decision]}, probability {percent(fused.probability)}"]
+    blocks += [_pair(pair, named=len(fused.pairs) > 1) for pair in fused.pairs]
+    blocks.append(_counts(fused))
+    return "\n".join(blocks)
+
+
+def percent(probability: float) -> str:
+    """A probability in percent; one that rounds to 0 or 100 without being so says so.
+
+    >>> percent(0.9983), percent(0.99999999), percent(1e-9), percent(0.5)
+    ('99.83 %', '> 99.99 %', '< 0.01 %', '50 %')
+    """
+    if 0.9999 < probability < 1:
+        return "> 99.99 %"
+    if 0 < probability < 0.0001:
+        return "< 0.01 %"
+    return f"{100 * probability:.4g} %"
+
+
+def _pair(pair: PairResult, *, named: bool) -> str:
+    first, second = pair.maps
+    lines = [f"\n{first} and {second}: {_WORDS[pair.decision]}"] if named else []
+    T12 = pair.T12
+    if T12 is not None and pair.decision == "merged":
+        lines += [f"  T12, which takes coordinates of {second} into {first}:", *_transform(T12)]
+        if pair.mixture_covariance is not None:
+            sigmas = np.sqrt(np.diag(pair.mixture_covariance))
+            spread = f"{sigmas[0]:.3f} m, {sigmas[1]:.3f} m, {math.degrees(sigmas[2]):.2f} deg"
+            lines.append(f"  ± with the spread over all hypotheses added: {spread}")
+        lines.append(f"  {len(pair.correspondences)} common landmarks")
+    elif pair.hypotheses:
+        lines += _rivals(pair)
+    lines.append(f"  no overlap: {percent(pair.no_overlap_probability)}")
+    lines.append(f"  reason: {pair.reason}")
+    if pair.overruled_by is not None:
+        lines.append(f"  overruled by the cycle {', '.join(pair.overruled_by)}")
+    return "\n".join(lines)
+
+
+def _transform(T: Transform) -> list[str]:
+    if T.covariance is None:
+        return [f"    x {T.x:.3f} m, y {T.y:.3f} m, theta {math.degrees(T.theta):.2f} deg, uncertainty unknown"]
+    x, y, theta = np.sqrt(np.diag(T.covariance))
+    return [
+        f"    x     {T.x:9.3f} ± {x:.3f} m",
+        f"    y     {T.y:9.3f} ± {y:.3f} m",
+        f"    theta {math.degrees(T.theta):9.2f} ± {math.degrees(theta):.2f} deg",
+    ]
+
+
+def _rivals(pair: PairResult) -> list[str]:
+    rows = [
+        (
+            f"{k}",
+            percent(h.probability),
+            f"{h.T12.x:.2f}",
+            f"{h.T12.y:.2f}",
+            f"{math.degrees(h.T12.theta):.1f}",
+            f"{h.count}",
+            f"{h.log_evidence:.1f}",
+        )
+        for k, h in enumerate(pair.hypotheses[:_LISTED], start=1)
+    ]
+    head = ("", "probability", "x [m]", "y [m]", "theta [deg]", "matches", "log evidence")
+    lines = [f"  possible T12 ({pair.maps[1]} into {pair.maps[0]}):", *table((head, *rows), indent="    ")]
+    if len(pair.hypotheses) > _LISTED:
+        rest = pair.hypotheses[_LISTED:]
+        lines.append(f"    and {len(rest)} more, together {percent(sum(h.probability for h in rest))}")
+    return lines
+
+
+def table(rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
+    """Rows of texts as lines with right-aligned columns.
+
+    >>> table([("", "n"), ("a", "10")])
+    ['    n', 'a  10']
+    """
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [indent + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _counts(fused: FusedMap) -> str:
+    common = sum(len(landmark.sources) > 1 for landmark in fused.landmarks)
+    doubtful = sum(landmark.existence < 0.5 for landmark in fused.landmarks)
+    groups = "" if len(fused.groups) == 1 else f" in {len(fused.groups)} separate frames"
+    return (
+        f"  {len(fused.maps)} maps give {len(fused.landmarks)} landmarks{groups}: "
+        f"{common} seen in several maps, {doubtful} doubtful (existence below 50 %)"
+    )

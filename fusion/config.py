@@ -1,0 +1,102 @@
+"""Parameters of the estimator, one frozen model per component, given only to that component."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mapfuse.datasets.errors import ConfigError
+from mapfuse.matching.config import MatchingConfig
+
+
+def _check(section: str, values: object, bounds: dict[str, tuple[float, float]]) -> None:
+    for name, (low, high) in bounds.items():
+        value = getattr(values, name)
+        if not low <= value <= high:
+            raise ConfigError(f"{section}.{name} is {value!r}; it must lie between {low:g} and {high:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class SolvingConfig:
+    """How a hypothesis grows into matched landmarks, and how its graph is solved.
+
+    ``gate_probability``: share of right matches that the chi-square gate keeps.
+    ``match_odds`` [nats]: a match is accepted when its density beats the local density of landmarks by this.
+    ``max_rounds``: rounds of re-association before a growing match must stand still.
+    ``shortlist``: how many of the best hypotheses get a full graph.
+    """
+
+    gate_probability: float = 0.999
+    match_odds: float = 0.0
+    max_rounds: int = 12
+    shortlist: int = 4
+
+    def __post_init__(self) -> None:
+        _check(
+            "solving",
+            self,
+            {
+                "gate_probability": (0.5, 0.999999),
+                "match_odds": (-50, 50),
+                "max_rounds": (1, 1000),
+                "shortlist": (1, 1000),
+            },
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceConfig:
+    """What speaks for and against a hypothesis; the derivation is in docs/evidence.md.
+
+    ``corridor_width_m`` [m]: a landmark that far from a travelled link, or less, was passed.
+    ``corridor_angle_deg`` [degrees]: a link that strays further from its arm is no travelled corridor.
+    ``arm_error_rate``: probability that a sensed arm is wrong about being passable.
+    ``junction_discount`` [nats]: taken off for each matched junction after the first, since junctions lie on grids.
+    ``look_elsewhere`` [nats]: taken off for each hypothesis, since many are tried.
+    ``repetition_rate``: probability that a building repeats itself in a way that two hypotheses fit.
+    """
+
+    corridor_width_m: float = 1.0
+    corridor_angle_deg: float = 20.0
+    arm_error_rate: float = 0.05
+    junction_discount: float = 2.0
+    look_elsewhere: float = 2.0
+    repetition_rate: float = 0.05
+
+    def __post_init__(self) -> None:
+        _check(
+            "evidence",
+            self,
+            {
+                "corridor_width_m": (0.01, 100),
+                "corridor_angle_deg": (1, 90),
+                "arm_error_rate": (1e-6, 0.5),
+                "junction_discount": (0, 50),
+                "look_elsewhere": (-50, 100),
+                "repetition_rate": (0, 1),
+            },
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionConfig:
+    """When two maps are merged.
+
+    ``accept``: the best hypothesis' probability from which two maps are merged; also the probability of no overlap
+    from which they are called so. ``overlap_prior``: probability, before looking, that two maps overlap.
+    """
+
+    accept: float = 0.99
+    overlap_prior: float = 0.5
+
+    def __post_init__(self) -> None:
+        _check("decision", self, {"accept": (0.5, 1.0), "overlap_prior": (1e-9, 1 - 1e-9)})
+
+
+@dataclass(frozen=True, slots=True)
+class FuseConfig:
+    """All parameters of `fuse`."""
+
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    solving: SolvingConfig = field(default_factory=SolvingConfig)
+    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
+    decision: DecisionConfig = field(default_factory=DecisionConfig)

@@ -1,0 +1,127 @@
+"""Where the other robot has been: which landmarks it should have seen, and how much corridor both travelled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from mapfuse.datasets import se2
+
+from .prepared import PreparedMap
+
+Array = NDArray[np.float64]
+
+#: A landmark this close [m] to the end of a travelled link is not passed but reached.
+END_MARGIN_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Travelled corridors as segments: ``start`` and ``end`` (m, 2) [m]."""
+
+    start: Array
+    end: Array
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def length(self) -> Array:
+        """Lengths (m,) [m]."""
+        return np.linalg.norm(self.end - self.start, axis=1)
+
+    @property
+    def direction(self) -> Array:
+        """Unit vectors (m, 2)."""
+        return (self.end - self.start) / np.maximum(self.length, 1e-9)[:, None]
+
+    @classmethod
+    def of(cls, prepared: PreparedMap, positions: Array) -> Segments:
+        """The straight travelled links of a map, its landmarks being at ``positions`` (n, 2)."""
+        ends = positions[prepared.corridors]
+        return cls(ends[:, 0], ends[:, 1])
+
+
+def passed(points: Array, segments: Segments, width: float) -> NDArray[np.bool_]:
+    """Which segments pass which points: lateral offset below ``width`` [m], inside the ends; (points, segments)."""
+    if not len(points) or not len(segments):
+        return np.zeros((len(points), len(segments)), dtype=bool)
+    offset = points[:, None, :] - segments.start[None]
+    along = np.einsum("psi,si->ps", offset, segments.direction)
+    across = offset[..., 1] * segments.direction[:, 0] - offset[..., 0] * segments.direction[:, 1]
+    inside = (along > END_MARGIN_M) & (along < segments.length - END_MARGIN_M)
+    return inside & (np.abs(across) < width)
+
+
+def overlap_length(segments1: Segments, segments2: Segments, width: float, angle: float) -> float:
+    """Length [m] of corridor that both travelled: parallel within ``angle`` [rad], within ``width`` [m] across.
+
+    Symmetric: the mean of what map 1's links cover of map 2's and the reverse.
+    """
+
+    def covered(a: Segments, b: Segments) -> float:
+        if not len(a) or not len(b):
+            return 0.0
+        parallel = np.abs(a.direction @ b.direction.T) > np.cos(angle)
+        to_start = a.start[:, None] - b.start[None]
+        to_end = a.end[:, None] - b.start[None]
+        s = np.einsum("abi,bi->ab", to_start, b.direction)
+        e = np.einsum("abi,bi->ab", to_end, b.direction)
+        cross_s = to_start[..., 1] * b.direction[:, 0] - to_start[..., 0] * b.direction[:, 1]
+        cross_e = to_end[..., 1] * b.direction[:, 0] - to_end[..., 0] * b.direction[:, 1]
+        low, high = np.minimum(s, e), np.maximum(s, e)
+        inside = np.clip(np.minimum(high, b.length) - np.maximum(low, 0), 0, None)
+        middle = (np.clip(low, 0, b.length) + np.clip(high, 0, b.length)) / 2
+        share = np.where(np.abs(e - s) > 1e-9, (middle - s) / np.where(e == s, 1, e - s), 0.5)
+        across = np.abs(cross_s + share * (cross_e - cross_s))
+        return float(np.where(parallel & (across < width), inside, 0).max(axis=1).clip(0, a.length).sum())
+
+    return (covered(segments1, segments2) + covered(segments2, segments1)) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class SeenArea:
+    """Where a robot would have seen a point landmark: discs of ``radius`` [m] around its path or its landmarks."""
+
+    centres: Array
+    radius: float
+
+    @classmethod
+    def of(cls, prepared: PreparedMap, points: NDArray[np.intp]) -> SeenArea:
+        """From the map's point landmarks (places ``points``), in the map's frame.
+
+        Without knowledge of the sensor, a robot is taken to have seen what is no further from one of its landmarks
+        than those are from each other.
+        """
+        centres = prepared.positions[points]
+        if len(centres) < 2:
+            return cls(centres, 1.0)
+        distance, _ = cKDTree(centres).query(centres, k=[2])
+        return cls(centres, float(np.median(distance)))
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (k, 2) lie inside."""
+        if not len(self.centres) or not len(points):
+            return np.zeros(len(points), dtype=bool)
+        return cKDTree(self.centres).query(points)[0] < self.radius
+
+    def moved(self, T12: Array) -> SeenArea:
+        """The same area in frame 1, this map being map 2."""
+        return SeenArea(se2.transform(T12, self.centres), self.radius)
+
+    def area(self, other: SeenArea | None = None) -> float:
+        """Area [m^2], or that of the part it has in common with another one; on a grid of a fifth of the radius."""
+        if not len(self.centres):
+            return 0.0
+        radius = self.radius if other is None else min(self.radius, other.radius)
+        low, high = self.centres.min(axis=0) - self.radius, self.centres.max(axis=0) + self.radius
+        step = max(radius / 5, float((high - low).max()) / 400)
+        axes = [np.arange(low[k] + step / 2, high[k], step) for k in range(2)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        inside = self.contains(grid)
+        if other is not None:
+            inside &= other.contains(grid)
+        return float(inside.sum()) * step**2

@@ -1,0 +1,380 @@
+"""What speaks for and against a hypothesis: its log odds against "these maps show different places".
+
+Derivation and what each term buys: docs/evidence.md. The terms are kept apart so that a reason can be given.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.arms import Kind, signature
+from mapfuse.datasets.maps import DOOR
+
+from .config import EvidenceConfig
+from .coverage import SeenArea, Segments, overlap_length, passed
+from .elastic import ArmOverlay, Joined
+from .growth import Growth
+from .prepared import PreparedMap
+
+Array = NDArray[np.float64]
+
+#: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
+ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
+#: Probability that a compass agrees by chance although its robot was misled by steel everywhere.
+STEEL_RATE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """The parts of a hypothesis' log odds [nats]; their sum is `total`.
+
+    ``prior``: density of T12 before looking. ``matches``: corridor landmarks that coincide. ``points``: point landmarks
+    that coincide. ``misses``: landmarks the other robot passed and didn't record. ``void``: emptiness both agree on.
+    ``arms``: blocked arms that the other robot drove through, or that contradict. ``compass``: agreement of north.
+    """
+
+    prior: float = 0.0
+    matches: float = 0.0
+    points: float = 0.0
+    junctions: float = 0.0
+    misses: float = 0.0
+    void: float = 0.0
+    arms: float = 0.0
+    compass: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Sum of all terms."""
+        return float(sum(getattr(self, f.name) for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A grown hypothesis with its evidence.
+
+    ``contradiction`` [nats]: what alone may tell apart two hypotheses that a repeating building makes alike: how far
+    misses, blocked arms and compass fall behind what the right one would show. ``missed1``, ``missed2``: landmarks of
+    map 1, map 2 that the other robot passed without recording them.
+    """
+
+    growth: Growth
+    terms: Terms
+    contradiction: float
+    missed1: tuple[int, ...]
+    missed2: tuple[int, ...]
+
+    @property
+    def log_odds(self) -> float:
+        """Log odds against no overlap [nats], before the overlap prior."""
+        return self.terms.total
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """How common landmarks are along the corridors (or per area), from both maps together.
+
+    ``true_rate``: landmarks of a label that are really there, per metre of corridor (per m^2 for point landmarks).
+    """
+
+    m1: PreparedMap
+    m2: PreparedMap
+
+    @cached_property
+    def points1(self) -> NDArray[np.bool_]:
+        """Which landmarks of map 1 are point landmarks."""
+        return _point_like(self.m1)
+
+    @cached_property
+    def points2(self) -> NDArray[np.bool_]:
+        """Which landmarks of map 2 are point landmarks."""
+        return _point_like(self.m2)
+
+    @cached_property
+    def area1(self) -> SeenArea:
+        """Where robot 1 would have seen point landmarks."""
+        return SeenArea.of(self.m1, np.flatnonzero(self.points1))
+
+    @cached_property
+    def area2(self) -> SeenArea:
+        """Where robot 2 would have seen point landmarks."""
+        return SeenArea.of(self.m2, np.flatnonzero(self.points2))
+
+    @cached_property
+    def rate(self) -> dict[str, float]:
+        """True landmarks per metre of corridor, by label (see `label`)."""
+        length = self.m1.corridor_length + self.m2.corridor_length
+        return self._rates(~self.points1, ~self.points2, max(length, 1.0))
+
+    @cached_property
+    def area_rate(self) -> dict[str, float]:
+        """True point landmarks per square metre, by label."""
+        area = self.area1.area() + self.area2.area()
+        return self._rates(self.points1, self.points2, max(area, 1.0))
+
+    def _rates(self, of1: NDArray[np.bool_], of2: NDArray[np.bool_], extent: float) -> dict[str, float]:
+        expected: Counter[str] = Counter()
+        for m, chosen in ((self.m1, of1), (self.m2, of2)):
+            for k in np.flatnonzero(chosen):
+                expected[label(m, k)] += (1 - false_alarm(m, k)) / max(m.map.noise.detection(m.map.types[k]), 1e-3)
+        return {name: count / extent for name, count in expected.items()}
+
+
+def _point_like(m: PreparedMap) -> NDArray[np.bool_]:
+    """Landmarks that stand in the open rather than on a corridor: without arms and without links."""
+    linked = {k for pair in m.corridors.tolist() for k in pair}
+    return np.array([not m.has_arms[k] and k not in linked for k in range(len(m))], dtype=bool)
+
+
+def label(m: PreparedMap, k: int) -> str:
+    """What a landmark is compared by."""
+    return m.map.types[k]
+
+
+def false_alarm(m: PreparedMap, k: int) -> float:
+    """Probability that a recorded landmark isn't there: the robot's rate to the power of the detections."""
+    landmark = m.map.landmarks[k]
+    if landmark.existence is not None:
+        return 1 - landmark.existence
+    return m.map.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
+
+
+def _visits(joined: Joined) -> tuple[NDArray[np.intp], Array]:
+    """Order in which matched pairs are come upon along the corridors, and the corridor direction each is come by.
+
+    Returns places in ``joined.i`` (k,) and unit vectors in frame 1 (k, 2); of the first one the direction is NaN.
+    """
+    m = joined.m1
+    place = {int(i): k for k, i in enumerate(joined.i)}
+    neighbours: dict[int, list[int]] = {}
+    for a, b in m.corridors.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    p = m.positions
+    order: list[int] = []
+    directions: list[Array] = []
+    remaining = dict(place)
+    while remaining:
+        first = min(remaining, key=lambda i: _seed_rank(joined, remaining[i], order))
+        queue: list[tuple[float, int, int]] = [(0.0, first, -1)]
+        done: set[int] = set()
+        while queue:
+            distance, node, before = heapq.heappop(queue)
+            if node in done:
+                continue
+            done.add(node)
+            if node in remaining:
+                order.append(remaining.pop(node))
+                directions.append(_arrival(joined, order, node, before))
+                distance = 0.0
+            for other in neighbours.get(node, []):
+                if other not in done:
+                    step = float(np.linalg.norm(p[other] - p[node]))
+                    heapq.heappush(queue, (distance + step, other, node))
+    return np.array(order, dtype=np.intp), np.array(directions).reshape(-1, 2)
+
+
+def _seed_rank(joined: Joined, k: int, order: list[int]) -> tuple[float, ...]:
+    """Which matched landmark to begin a stretch of corridor with: near what is matched, then the best known."""
+    p = joined.m1.positions
+    if not order:
+        centre = p[joined.i].mean(axis=0)
+        return (float(np.linalg.norm(p[joined.i[k]] - centre)),)
+    return (float(np.linalg.norm(p[joined.i[order]] - p[joined.i[k]], axis=1).min()),)
+
+
+def _arrival(joined: Joined, order: list[int], node: int, before: int) -> Array:
+    """Direction of the corridor by which ``node`` was reached."""
+    p = joined.m1.positions
+    if before >= 0:
+        step = p[node] - p[before]
+        length = float(np.hypot(*step))
+        if length > 0.5:
+            return step / length
+    if len(order) < 2:
+        return np.full(2, np.nan)
+    arms = joined.m1.arm_headings[node][joined.m1.arm_passable[node]]
+    if not len(arms):
+        return np.full(2, np.nan)
+    nearest = min(order[:-1], key=lambda k: float(np.linalg.norm(p[joined.i[k]] - p[node])))
+    step = p[node] - p[joined.i[nearest]]
+    ways = np.column_stack([np.cos(arms), np.sin(arms)])
+    return ways[int(np.argmax(np.abs(ways @ step)))]
+
+
+def _normal_log(x: float, variance: float) -> float:
+    return -0.5 * x * x / variance - 0.5 * float(np.log(2 * np.pi * variance))
+
+
+def _detections(m1: PreparedMap, m2: PreparedMap, i: int, j: int) -> float:
+    """log (1 - fa1)(1 - fa2): both recorded landmarks are there."""
+    return float(np.log1p(-false_alarm(m1, i)) + np.log1p(-false_alarm(m2, j)))
+
+
+def _corridor_matches(joined: Joined, background: Background, arms: ArmOverlay) -> float:
+    """Matched corridor landmarks: density of the residual along the corridor, given those before."""
+    m1, m2 = joined.m1, joined.m2
+    corridor = np.flatnonzero(~background.points1[joined.i] & ~background.points2[joined.j])
+    if not len(corridor):
+        return 0.0
+    order, directions = _visits(_subset(joined, corridor))
+    sub = _subset(joined, corridor[order])
+    innovation, V = sub.sequential()
+    total = 0.0
+    for k, (i, j) in enumerate(zip(sub.i, sub.j, strict=True)):
+        met = arms.coincide[i, j] >= 2
+        ways = ORIENTATIONS.get(signature(m1.map.landmarks[i]).kind, 1) if met else 1
+        odds = _detections(m1, m2, i, j) + np.log(ways) - np.log(background.rate[label(m1, i)])
+        if k:  # the first one is what places map 2: its density is the prior of T12
+            u = directions[k]
+            if np.isnan(u).any():
+                u = np.linalg.eigh(V[k][:2, :2])[1][:, 1]
+            odds += _normal_log(float(u @ innovation[k][:2]), float(u @ V[k][:2, :2] @ u))
+        total += float(odds)
+    return total
+
+
+def _subset(joined: Joined, which: NDArray[np.intp]) -> Joined:
+    return Joined(
+        joined.m1, joined.m2, joined.T0, joined.arms, joined.i[which], joined.j[which], joined.prior_sigma
+    )
+
+
+def _point_matches(joined: Joined, background: Background) -> float:
+    """Matched point landmarks: density of the residual in the plane, given the corridor landmarks and those before."""
+    m1, m2 = joined.m1, joined.m2
+    is_point = background.points1[joined.i] & background.points2[joined.j]
+    if not is_point.any():
+        return 0.0
+    order = np.concatenate([np.flatnonzero(~is_point), np.flatnonzero(is_point)])
+    sub = _subset(joined, order)
+    innovation, V = sub.sequential()
+    total = 0.0
+    for k in range(int((~is_point).sum()), len(order)):
+        i, j = int(sub.i[k]), int(sub.j[k])
+        C = V[k][:2, :2]
+        d2 = float(innovation[k][:2] @ np.linalg.solve(C, innovation[k][:2]))
+        density = -0.5 * d2 - 0.5 * float(np.log(np.linalg.det(C))) - np.log(2 * np.pi)
+        total += density + _detections(m1, m2, i, j) - float(np.log(background.area_rate[label(m1, i)]))
+    return total
+
+
+def _detected(m: PreparedMap, type_: str) -> float:
+    return m.map.noise.detection(type_)
+
+
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """Who passed what: places of unmatched landmarks that the other robot passed, and blocked arms driven through."""
+
+    missed1: NDArray[np.intp]
+    missed2: NDArray[np.intp]
+    blocked: int
+    corridor_overlap: float
+    area_overlap: float
+
+
+def _through_blocked(
+    m: PreparedMap, positions: Array, turn: float, by: NDArray[np.bool_], segments: Segments, angle: float
+) -> int:
+    """How many blocked arms of passed landmarks point along the other robot's way."""
+    count = 0
+    ways = np.arctan2(segments.direction[:, 1], segments.direction[:, 0]) if len(segments) else np.zeros(0)
+    for k, s in zip(*np.nonzero(by), strict=True):
+        blocked = m.arm_headings[k][~m.arm_passable[k] & ~np.isnan(m.arm_headings[k])] + turn
+        for way in (ways[s], ways[s] + np.pi):
+            count += int((np.abs(se2.wrap(blocked - way)) < angle).any())
+    return count
+
+
+def passing(growth: Growth, background: Background, config: EvidenceConfig) -> Passing:
+    """What each robot passed of the other's map, both maps bent onto each other."""
+    joined = growth.joined
+    m1, m2 = joined.m1, joined.m2
+    p1, p2 = joined.corrected()
+    angle = np.deg2rad(config.corridor_angle_deg)
+    s1, s2 = Segments.of(m1, p1), Segments.of(m2, p2)
+    by1, by2 = passed(p2, s1, config.corridor_width_m), passed(p1, s2, config.corridor_width_m)
+    blocked = _through_blocked(m2, p2, float(joined.T12[2]), by1, s1, angle)
+    blocked += _through_blocked(m1, p1, 0.0, by2, s2, angle)
+    free1, free2 = np.ones(len(m1), dtype=bool), np.ones(len(m2), dtype=bool)
+    free1[joined.i], free2[joined.j] = False, False
+    # where both have a landmark of another kind the place was recorded, only differently
+    in1 = background.area1.contains(p2) & background.points2
+    in2 = background.area2.moved(joined.T12).contains(p1) & background.points1
+    missed1 = np.flatnonzero(free1 & ((by2.any(axis=1) & ~background.points1) | in2))
+    missed2 = np.flatnonzero(free2 & ((by1.any(axis=1) & ~background.points2) | in1))
+    overlap = overlap_length(s1, s2, config.corridor_width_m, angle)
+    area = background.area1.area(background.area2.moved(joined.T12)) if background.area_rate else 0.0
+    return Passing(missed1, missed2, blocked, overlap, area)
+
+
+def _miss(m: PreparedMap, k: int, other: PreparedMap) -> float:
+    """log probability that the other robot passed this recorded landmark and did not record it."""
+    return float(np.log1p(-(1 - false_alarm(m, k)) * _detected(other, m.map.types[k])))
+
+
+def _compass(m1: PreparedMap, m2: PreparedMap, theta: float) -> float:
+    """log density of the rotation given both compasses, against any rotation."""
+    if m1.north is None or m2.north is None:
+        return 0.0
+    off = float(se2.wrap(theta - (m1.north[0] - m2.north[0])))
+    density = np.exp(_normal_log(off, m1.north[1] ** 2 + m2.north[1] ** 2))
+    return float(np.log((1 - STEEL_RATE) * density + STEEL_RATE / (2 * np.pi)) + np.log(2 * np.pi))
+
+
+def _usual(m: PreparedMap, other: PreparedMap, matched: NDArray[np.intp], missed: NDArray[np.intp]) -> float:
+    """How far matches and misses fall behind (< 0) what the right placement shows on average [nats]."""
+    total = 0.0
+    for k, hit in [(k, True) for k in matched] + [(k, False) for k in missed]:
+        q = (1 - false_alarm(m, k)) * _detected(other, m.map.types[k])
+        q = min(max(q, 1e-6), 1 - 1e-6)
+        total += (np.log(q) if hit else np.log1p(-q)) - (q * np.log(q) + (1 - q) * np.log1p(-q))
+    return float(total)
+
+
+def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Weighed:
+    """The evidence of a grown hypothesis."""
+    joined = growth.joined
+    m1, m2 = joined.m1, joined.m2
+    way = passing(growth, background, config)
+    corridor = ~background.points1[joined.i]
+    prior = -config.look_elsewhere
+    if corridor.any():
+        # a random stretch of corridor 1 lies on a random stretch of corridor 2, in one of two directions
+        overlap = max(way.corridor_overlap, 1.0)
+        prior += float(np.log(overlap / (2 * max(m1.corridor_length, 1.0) * max(m2.corridor_length, 1.0))))
+    spatial = sum(m1.map.types[i] != DOOR for i in joined.i[corridor])
+    void = sum(
+        rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.rate.items()
+    ) * way.corridor_overlap + sum(
+        rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.area_rate.items()
+    ) * way.area_overlap
+    contradict = int(joined.arms.contradict[joined.i, joined.j].sum()) + way.blocked
+    per_arm = float(np.log(config.arm_error_rate / 0.5))
+    misses = sum(_miss(m1, k, m2) for k in way.missed1) + sum(_miss(m2, k, m1) for k in way.missed2)
+    compass = _compass(m1, m2, float(joined.T12[2]))
+    terms = Terms(
+        prior=prior,
+        matches=_corridor_matches(joined, background, joined.arms),
+        points=_point_matches(joined, background),
+        junctions=-config.junction_discount * max(0, spatial - 1),
+        misses=float(misses),
+        void=float(void),
+        arms=per_arm * contradict,
+        compass=compass,
+    )
+    usual = _usual(m1, m2, joined.i, way.missed1) + _usual(m2, m1, joined.j, way.missed2)
+    return Weighed(
+        growth,
+        terms,
+        usual + per_arm * contradict + compass,
+        tuple(way.missed1.tolist()),
+        tuple(way.missed2.tolist()),
+    )

@@ -1,0 +1,172 @@
+"""One map with sources: every landmark once, links joined, counters summed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable
+from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link
+
+from .result import FusedLandmark
+
+Array = NDArray[np.float64]
+Member = tuple[int, int]  # (map, place in its landmarks)
+
+MAX_LINKS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """One landmark of the merged map before it gets its name: the recorded landmarks that are it."""
+
+    members: tuple[Member, ...]
+    existence: float
+
+
+def _turned(landmark: Landmark, heading: float) -> float:
+    """By how much the landmark's directions turn when its heading becomes ``heading`` [rad, group frame]."""
+    return heading - (heading_of(landmark) or 0.0)
+
+
+def _joined_link(a: Link, b: Link, weight_b: float) -> Link:
+    """One link from two records of it: counters added, distances and readings averaged by travels."""
+    assert a.heading is not None and b.heading is not None
+    travels = a.travel_counter + b.travel_counter
+    same_way = a.connected_to_id == b.connected_to_id
+    one = a if a.connected_to_id is not None or b.connected_to_id is None else b
+    distance = one.distance
+    if same_way and a.distance is not None and b.distance is not None:
+        w = max(b.travel_counter, 1) / (max(a.travel_counter, 1) + max(b.travel_counter, 1))
+        distance = (1 - w) * a.distance + w * b.distance
+    readings = [link.compass for link in (a, b) if link.compass is not None]
+    compass = float(np.angle(np.exp(1j * np.array(readings)).sum())) if readings else None
+    return Link(
+        type=a.type if a.type != "unknown" else b.type,
+        heading=float(se2.wrap(a.heading + weight_b * se2.wrap(b.heading - a.heading))),
+        compass=compass,
+        connected_to_id=one.connected_to_id,
+        distance=distance,
+        travel_counter=travels if same_way else one.travel_counter,
+        extra={**b.extra, **a.extra},
+    )
+
+
+def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
+    """All arms of one place, those that meet joined; at most four, ways that lead somewhere first."""
+    joined: list[Link] = []
+    counts: list[int] = []
+    for links in sources:
+        taken: set[int] = set()
+        for link in links:
+            near = [
+                (abs(float(se2.wrap(link.heading - other.heading))), k)
+                for k, other in enumerate(joined)
+                if k not in taken and link.heading is not None and other.heading is not None
+            ]
+            off, k = min(near, default=(np.inf, -1))
+            if off < ARM_TOLERANCE:
+                counts[k] += 1
+                joined[k] = _joined_link(joined[k], link, 1 / counts[k])
+                taken.add(k)
+            else:
+                joined.append(link)
+                counts.append(1)
+                taken.add(len(joined) - 1)
+    rank = sorted(range(len(joined)), key=lambda k: (joined[k].connected_to_id is None, not is_passable(joined[k])))
+    return tuple(joined[k] for k in sorted(rank[:MAX_LINKS]))
+
+
+def merged_landmarks(
+    maps: Sequence[LandmarkMap],
+    places: Sequence[Place],
+    poses: Sequence[Array],
+    covariance: Mapping[Member, int],
+    joint: Array,
+    group: int,
+    names: Sequence[str],
+) -> tuple[tuple[FusedLandmark, ...], JointCovariance]:
+    """The landmarks of one group, and their joint covariance.
+
+    ``poses``: per map (n, 3) in the group's frame; ``joint`` (3N, 3N): covariance over all recorded landmarks, axes of
+    the group's frame, ``covariance`` giving each one's block in it; ``names``: the fused ids, parallel to ``places``.
+    A place recorded by several robots stands where the mean of their records does.
+    """
+    name_of = {member: names[k] for k, place in enumerate(places) for member in place.members}
+    average = np.zeros((3 * len(places), len(joint)))
+    for k, place in enumerate(places):
+        for member in place.members:
+            block = 3 * covariance[member]
+            average[3 * k : 3 * k + 3, block : block + 3] = np.eye(3) / len(place.members)
+    fused_joint = se2.propagate(average, joint)
+    landmarks = tuple(
+        _landmark(maps, place, poses, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group, name_of)
+        for k, place in enumerate(places)
+    )
+    rows = 3 if all(landmark.heading is not None for landmark in landmarks) else 2
+    kept = np.concatenate([np.arange(3 * k, 3 * k + rows) for k in range(len(places))]) if places else []
+    order = tuple(landmark.id for landmark in landmarks)
+    matrix = fused_joint[np.ix_(kept, kept)] if len(order) else np.zeros((0, 0))
+    return landmarks, JointCovariance(order, rows, matrix)
+
+
+def _landmark(
+    maps: Sequence[LandmarkMap],
+    place: Place,
+    poses: Sequence[Array],
+    covariance: Array,
+    group: int,
+    name_of: Mapping[Member, str],
+) -> FusedLandmark:
+    recorded = [maps[r].landmarks[k] for r, k in place.members]
+    at = np.array([poses[r][k] for r, k in place.members])
+    links = _joined_links(
+        [
+            [
+                replace(
+                    link,
+                    heading=None if link.heading is None else float(se2.wrap(link.heading + _turned(l, pose[2]))),
+                    connected_to_id=_target(maps[r], r, link, name_of, name_of[(r, k)]),
+                )
+                for link in l.links
+            ]
+            for l, pose, (r, k) in zip(recorded, at, place.members, strict=True)
+        ]
+    )
+    x, y = at[:, :2].mean(axis=0)
+    with_arms = heading_of(Landmark("", recorded[0].type, 0.0, 0.0, links=links))
+    headings = [pose[2] for l, pose in zip(recorded, at, strict=True) if heading_of(l) is not None]
+    heading = with_arms
+    if heading is None and headings:
+        heading = float(np.angle(np.exp(1j * np.array(headings)).sum()))
+    sources: dict[str, tuple[str, ...]] = {}
+    for r, k in sorted(place.members, key=lambda member: (maps[member[0]].name, maps[member[0]].ids[member[1]])):
+        sources[maps[r].name] = (*sources.get(maps[r].name, ()), maps[r].ids[k])
+    return FusedLandmark(
+        id=name_of[place.members[0]],
+        group=group,
+        type=recorded[0].type,
+        x=float(x),
+        y=float(y),
+        heading=heading,
+        covariance=covariance if heading is not None else covariance[:2, :2],
+        sources=sources,
+        existence=place.existence,
+        links=links,
+        visit_counter=sum(l.visit_counter for l in recorded),
+        detection_counter=sum(l.detection_counter for l in recorded),
+    )
+
+
+def _target(
+    map_: LandmarkMap, r: int, link: Link, name_of: Mapping[Member, str], own: str
+) -> str | None:
+    other = map_.index_from_id.get(link.connected_to_id or "")
+    if other is None:
+        return None
+    name = name_of[(r, other)]
+    return None if name == own else name

@@ -1,0 +1,124 @@
+"""Two maps to one answer; the story of the whole library on a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.arms import heading_of
+from mapfuse.datasets.maps import Landmark, LandmarkMap
+from mapfuse.factors import pair_problem
+from mapfuse.matching.hypothesis import Hypothesis
+from mapfuse.matching.propose import propose
+
+from .config import FuseConfig, SolvingConfig
+from .decide import Verdict, decide
+from .elastic import ArmOverlay
+from .evidence import Background, Weighed, weigh
+from .growth import Growth, compatible, grow, joined_at
+from .prepared import PreparedMap
+from .solve import Solution, solve
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PairOutcome:
+    """What is known of two maps: the verdict over all hypotheses, and the solved graphs of the best (by rank)."""
+
+    m1: PreparedMap
+    m2: PreparedMap
+    verdict: Verdict
+    solutions: dict[int, Solution]
+
+
+def straightened(m: PreparedMap) -> LandmarkMap:
+    """The recorded map with positions and arm headings at its own optimum, for the matcher."""
+    landmarks = []
+    for landmark, (x, y), heading in zip(m.map.landmarks, m.positions, m.headings, strict=True):
+        turn = 0.0 if np.isnan(heading) else float(heading) - (heading_of(landmark) or 0.0)
+        landmarks.append(_turned(replace(landmark, x=float(x), y=float(y)), turn))
+    return m.map.replace(landmarks=tuple(landmarks))
+
+
+def _turned(landmark: Landmark, turn: float) -> Landmark:
+    links = tuple(
+        link if link.heading is None else replace(link, heading=float(se2.wrap(link.heading + turn)))
+        for link in landmark.links
+    )
+    heading = None if landmark.heading is None else float(se2.wrap(landmark.heading + turn))
+    return replace(landmark, links=links, heading=heading)
+
+
+def grow_all(m1: PreparedMap, m2: PreparedMap, hypotheses: list[Hypothesis], config: SolvingConfig) -> list[Growth]:
+    """Every distinct hypothesis grown; those whose seed an earlier one explains are the same answer."""
+    may = compatible(m1, m2)
+    grown: list[Growth] = []
+    explained: list[tuple[set[tuple[int, int]], float]] = []
+    for hypothesis in hypotheses:
+        seed = tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.seed)
+        theta = hypothesis.T12.theta
+        if any(set(seed) <= pairs and abs(se2.wrap(theta - turn)) < 0.5 for pairs, turn in explained):
+            continue
+        growth = grow(m1, m2, hypothesis.T12.array, seed, config, may)
+        pairs = set(zip(growth.i.tolist(), growth.j.tolist(), strict=True))
+        explained.append((pairs | set(seed), float(growth.joined.T12[2])))
+        if not any(_same(growth, other) for other in grown):
+            grown.append(growth)
+    return grown
+
+
+def _same(a: Growth, b: Growth) -> bool:
+    """Whether two grown hypotheses are one answer: most matches in common, or the same placement."""
+    pairs_a = set(zip(a.i.tolist(), a.j.tolist(), strict=True))
+    pairs_b = set(zip(b.i.tolist(), b.j.tolist(), strict=True))
+    return pairs_a == pairs_b or (
+        len(pairs_a) == len(pairs_b) and 2 * len(pairs_a & pairs_b) > len(pairs_a) and a.joined.m1 is b.joined.m1
+    )
+
+
+def _distinct(weighed: list[Weighed]) -> list[Weighed]:
+    """The best of each answer: two whose matches overlap by half of the smaller, in one turn, are variants of one."""
+    kept: list[tuple[Weighed, set[tuple[int, int]]]] = []
+    for w in sorted(weighed, key=lambda w: -w.log_odds):
+        pairs = set(zip(w.growth.i.tolist(), w.growth.j.tolist(), strict=True))
+        if not any(2 * len(pairs & other) >= min(len(pairs), len(other)) for _, other in kept):
+            kept.append((w, pairs))
+    return [w for w, _ in kept]
+
+
+def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Weighed, Solution]:
+    """The hypothesis' graph solved; weighed again where the gate took out a match."""
+    joined = w.growth.joined
+    m1, m2 = joined.m1, joined.m2
+    matches = [(m1.map.ids[i], m2.map.ids[j]) for i, j in zip(joined.i, joined.j, strict=True)]
+    starts = tuple(np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in (m1, m2))
+    solution = solve(
+        pair_problem(m1.map, m2.map, joined.T12, matches, starts=(starts[0], starts[1])), config.solving
+    )
+    if solution.rejected:
+        gone = {(u.a.id, u.b.id) for u in solution.rejected}
+        keep = np.array([match not in gone for match in matches], dtype=bool)
+        if keep.any():
+            growth = Growth(joined_at(joined, joined.T12, joined.i[keep], joined.j[keep]), w.growth.rounds)
+            w = weigh(growth, background, config.evidence)
+    return w, solution
+
+
+def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutcome:
+    """Propose, grow, weigh, solve, decide."""
+    background = Background(m1, m2)
+    hypotheses = propose(straightened(m1), straightened(m2), config.matching)
+    grown = grow_all(m1, m2, hypotheses, config.solving)
+    weighed = _distinct([weigh(g, background, config.evidence) for g in grown])
+    verdict = decide(weighed, config.evidence, config.decision)
+    solved = {id(w): _solved(w, background, config) for w in verdict.ranked[: config.solving.shortlist]}
+    again = [solved[id(w)][0] if id(w) in solved else w for w in verdict.ranked]
+    verdict = decide(again, config.evidence, config.decision)
+    solutions = {id(w): s for w, s in solved.values()}
+    return PairOutcome(
+        m1, m2, verdict, {k: solutions[id(w)] for k, w in enumerate(verdict.ranked) if id(w) in solutions}
+    )

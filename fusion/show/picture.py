@@ -1,0 +1,67 @@
+"""Pictures of one map and of what a fusion answered: both maps, then the merged map, or why there is none.
+
+The merged map shows its landmarks with 95 % ellipses, common ones circled as in Figs. 4 and 5 of Dedeoglu and
+Sukhatme (2000), doubtful ones hollow. What wasn't merged is never drawn as if it were.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mapfuse.datasets.maps import LandmarkMap
+
+from ..result import FusedMap
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_fused(
+    fused: FusedMap,
+    path: str | Path | None = None,
+    *,
+    ids: bool | None = None,
+    ellipse_scale: float = 1.0,
+    dpi: float = 150.0,
+) -> Figure:
+    """A page that shows what a fusion answered; saved to ``path`` (.png, .svg or .pdf) where one is given.
+
+    Each embedded map in its own frame; then per merged group the merged map, or for an ambiguous pair the best three
+    rivals side by side, each as map 2 laid onto map 1, or for maps without overlap a statement. Decision and
+    probability are the title, T12 with standard deviations stands below it, the reasons below the picture.
+    ``ids``: whether landmarks are labelled; by itself where they are few. ``ellipse_scale``: ellipses drawn that
+    much larger than they are, which the legend then says.
+
+    Raises ConfigError for another suffix; OSError where the file can't be written, which then isn't there in part.
+
+    >>> from mapfuse.fusion.result import FusedMap, PairResult
+    >>> pair = PairResult(("A", "B"), "no_overlap", 0.0, 1.0, (), (), "no landmark kinds in common")
+    >>> fused = FusedMap("no_overlap", 1.0, ("A", "B"), (("A",), ("B",)), {}, (pair,), (), {})
+    >>> draw_fused(fused).get_suptitle()
+    'A + B: no overlap, probability of no overlap 1'
+    """
+    from .fused_page import fused_page
+    from .page import draw_page
+
+    return draw_page(fused_page(fused), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
+
+
+def draw_map(
+    map_: LandmarkMap,
+    path: str | Path | None = None,
+    *,
+    ids: bool | None = None,
+    ellipse_scale: float = 1.0,
+    dpi: float = 150.0,
+) -> Figure:
+    """A page that shows one map in its own frame; parameters, errors and file as for `draw_fused`.
+
+    >>> from mapfuse.datasets.maps import Landmark, LandmarkMap
+    >>> draw_map(LandmarkMap("D1", (Landmark("c1", "corner", 0.0, 0.0),))).get_suptitle()
+    'D1: 1 landmark'
+    """
+    from .fused_page import map_page
+    from .page import draw_page
+
+    return draw_page(map_page(map_), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)

@@ -1,0 +1,175 @@
+"""Problem -> solution: a robust solve, a chi-square gate, a plain refit; covariance is a query of the refit alone."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, LinAlgError
+from scipy.sparse import csr_array
+from scipy.stats import chi2
+
+from mapfuse.datasets.errors import MapfuseError, TooLargeError, UndeterminedError
+from mapfuse.datasets.transform import Transform
+from mapfuse.factors import Correspondence, FrameKey, LandmarkKey, Problem, Unknown
+from mapfuse.factors.axes import pose_rotations
+
+from .config import SolvingConfig
+
+Array = NDArray[np.float64]
+log = logging.getLogger(__name__)
+
+#: The joint covariance is kept dense; a problem with more unknown poses than this is refused.
+MAX_UNKNOWNS = 5000
+#: A solution counts as an optimum when the next Gauss-Newton step moves no unknown by more than this [m, rad].
+CONVERGED_STEP = 1e-5
+MAX_RESTARTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The optimum of a problem, and its covariance as a query.
+
+    ``poses``: every unknown's (3,) pose in the merged frame. ``chi2``: sum of squared whitened residuals; ``dof``:
+    measured rows less unknowns. ``rejected``: correspondences that the gate took out.
+    """
+
+    problem: Problem
+    poses: dict[Unknown, Array]
+    chi2: float
+    iterations: int
+    rejected: tuple[Correspondence, ...] = ()
+
+    @cached_property
+    def _order(self) -> dict[Unknown, int]:
+        """Column block of each unknown in the Jacobian: GTSAM sorts by key."""
+        keys = sorted(self.problem.keys.key(unknown) for unknown in self.problem.keys)
+        return {self.problem.keys.unknown(key): k for k, key in enumerate(keys)}
+
+    @cached_property
+    def _covariance(self) -> Array:
+        """Joint covariance of all unknowns in the axes of the merged frame, (3u, 3u)."""
+        unknowns = len(self._order)
+        if unknowns > MAX_UNKNOWNS:
+            raise TooLargeError(f"joint covariance of {unknowns} poses; it is kept up to {MAX_UNKNOWNS}")
+        linear = self.problem.graph().linearize(self.problem.values(self.poses))
+        H = information(linear, 3 * unknowns)
+        try:
+            L = cholesky(H, lower=True)
+        except LinAlgError:
+            raise UndeterminedError("the measurements leave open where these are", self._open(H)) from None
+        thetas = np.array([self.poses[unknown][2] for unknown in self._order])
+        J = np.zeros((3 * unknowns, 3 * unknowns))
+        blocks = np.arange(unknowns)
+        J.reshape(unknowns, 3, unknowns, 3)[blocks, :, blocks, :] = pose_rotations(thetas)
+        covariance = J @ cho_solve((L, True), J.T)
+        return (covariance + covariance.T) / 2
+
+    def _open(self, H: Array) -> tuple[tuple[str, str], ...]:
+        """The landmarks that move along the directions which nothing measures."""
+        values, vectors = np.linalg.eigh(H)
+        loose = vectors[:, values < max(values[-1], 1.0) * 1e-12]
+        moved = np.linalg.norm(loose.reshape(len(self._order), -1), axis=1)
+        found = [u for u, k in self._order.items() if moved[k] > 0.1 * moved.max()]
+        return tuple((self.problem.maps[u.map].name, u.id) for u in found if isinstance(u, LandmarkKey))
+
+    def joint_covariance(self, unknowns: Sequence[Unknown]) -> Array:
+        """Joint covariance (3k, 3k) of k unknowns over (x, y, theta) each, axes of the merged frame.
+
+        Raises `UndeterminedError` naming the landmarks that the measurements leave open.
+        """
+        columns = np.concatenate([np.arange(3) + 3 * self._order[u] for u in unknowns]) if len(unknowns) else []
+        return self._covariance[np.ix_(columns, columns)] if len(unknowns) else np.zeros((0, 0))
+
+    def covariance(self, a: Unknown, b: Unknown | None = None) -> Array:
+        """Covariance (3, 3) of an unknown, or cross covariance of two; axes of the merged frame."""
+        row = 3 * self._order[a]
+        column = row if b is None else 3 * self._order[b]
+        return self._covariance[row : row + 3, column : column + 3]
+
+    def transform(self, r: int) -> Transform:
+        """Pose of map r's frame in the merged frame with its covariance: T12 for the second of two maps."""
+        return Transform.from_array(self.poses[FrameKey(r)], self.covariance(FrameKey(r)))
+
+    def landmark_keys(self, r: int) -> tuple[LandmarkKey, ...]:
+        """Keys of map r's landmarks, in the map's order."""
+        return tuple(LandmarkKey(r, identifier) for identifier in self.problem.maps[r].ids)
+
+    def landmark_poses(self, r: int) -> Array:
+        """Poses (n, 3) of map r's landmarks in the merged frame, in the map's order."""
+        return np.array([self.poses[key] for key in self.landmark_keys(r)]).reshape(-1, 3)
+
+    def landmark_covariance(self, r: int) -> Array:
+        """Joint covariance (3n, 3n) of map r's landmarks, in the map's order, axes of the merged frame."""
+        return self.joint_covariance(self.landmark_keys(r))
+
+
+def information(linear: Any, size: int) -> Array:
+    """Information matrix J'J (size, size) of a linearised graph, unknowns sorted by key."""
+    rows, columns, values = np.asarray(linear.sparseJacobian_())
+    rows, columns = rows.astype(np.intp) - 1, columns.astype(np.intp) - 1
+    kept = columns < size  # the last column is the right-hand side
+    J = csr_array((values[kept], (rows[kept], columns[kept])), shape=(int(rows.max()) + 1, size))
+    dense: Array = (J.T @ J).toarray()
+    return dense
+
+
+def _optimise(problem: Problem) -> tuple[dict[Unknown, Array], int]:
+    """Levenberg-Marquardt to a true optimum: restarted until the Gauss-Newton step vanishes.
+
+    LM may report success after a small decrease far from the optimum, and covariances there are worth nothing.
+    """
+    graph, values = problem.graph(), problem.values()
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(200)
+    params.setRelativeErrorTol(1e-12)
+    params.setAbsoluteErrorTol(1e-12)
+    iterations = 0
+    for _ in range(MAX_RESTARTS):
+        try:
+            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
+            values = optimizer.optimize()
+            iterations += optimizer.iterations()
+            step = graph.linearize(values).optimize()
+        except RuntimeError as error:
+            raise _undetermined(problem, error) from None
+        largest = max((float(np.abs(step.at(key)).max()) for key in values.keys()), default=0.0)  # noqa: SIM118
+        if largest < CONVERGED_STEP:
+            break
+    else:
+        log.warning("optimum not reached: the last step was still %.2g", largest)
+    poses = problem.poses(values)
+    if not all(np.isfinite(pose).all() for pose in poses.values()):
+        raise MapfuseError("the solver left finite numbers; the maps' noise or positions are out of proportion")
+    return poses, iterations
+
+
+def _undetermined(problem: Problem, error: RuntimeError) -> UndeterminedError:
+    named = problem.keys.mentioned(str(error))
+    landmarks = tuple((problem.maps[u.map].name, u.id) for u in named if isinstance(u, LandmarkKey))
+    return UndeterminedError("the measurements leave something open near these", landmarks)
+
+
+def solve(problem: Problem, config: SolvingConfig) -> Solution:
+    """Solve a problem; correspondences under a robust loss are gated, and the accepted ones solved again as Gaussian.
+
+    Raises `UndeterminedError` naming the landmarks concerned where the measurements leave something open.
+    """
+    poses, iterations = _optimise(problem)
+    doubtful = [m for m in problem.of_kind(Correspondence) if m.loss is not None]
+    rejected: list[Correspondence] = []
+    if doubtful:
+        limit = {dof: chi2.ppf(config.gate_probability, dof) for dof in (2, 3)}
+        rejected = [m for m in doubtful if float(np.sum(m.residual(poses) ** 2)) > limit[m.dof]]
+        matches = [m.unknowns for m in problem.of_kind(Correspondence) if m not in rejected]
+        problem = problem.starting_at(poses).with_correspondences(matches)
+        poses, more = _optimise(problem)
+        iterations += more
+    squared = float(sum(np.sum(m.residual(poses) ** 2) for m in problem.measurements))
+    return Solution(problem, poses, squared, iterations, tuple(rejected))
