@@ -30,6 +30,7 @@ MAX_DIGITS = 1000
 
 # what an object, a list, an element and half a string cost in memory at most, as measured on CPython 3.11
 _BYTES_PER_MARK = ((b"{", 240), (b"[", 72), (b",", 48), (b'"', 48))
+_JSON_TYPES = {type(None), bool, int, float, str, list, tuple, dict}
 _PLAIN_KEY = re.compile(r"[\w-]+")
 
 #: Where a value stands: keys and indices from the top.
@@ -163,8 +164,8 @@ def json_faults(value: Any, place: Place) -> Iterator[tuple[Place, str]]:
                     return
                 if fault := text_fault(key):
                     yield where, f"has a key that {fault}"
-        elif not (item is None or isinstance(item, (int, list, tuple))):
-            yield where, f"is {said(item)}, which JSON has no form for"
+        if type(item) not in _JSON_TYPES and not isinstance(item, _Repeating):
+            yield where, f"is a Python {type(item).__name__}, which JSON has no form for"
 
 
 def _repeats_keys(data: bytes, document: Any) -> bool:

@@ -155,11 +155,11 @@ def _first_poses(drive: Drive, count: int) -> tuple[Drive, Indices]:
 
 def _grown(drive: Drive) -> tuple[Array, Array]:
     """Poses and landmarks near the optimum: each new stretch is dead-reckoned from the solution so far, then solved."""
-    poses, landmarks = np.zeros((1, 3)), np.full((drive.landmark_count, 2), np.nan)
-    while len(poses) < drive.pose_count:
-        count = min(len(poses) + STRETCH, drive.pose_count)
-        stretch = dead_reckoning(drive.motions[len(poses) - 1 : count - 1])
-        poses = np.concatenate([poses[:-1], se2.compose(poses[-1], stretch)])
+    poses, landmarks = np.zeros((0, 3)), np.full((drive.landmark_count, 2), np.nan)
+    while (done := len(poses)) < drive.pose_count:
+        count = min(done + STRETCH, drive.pose_count)
+        stretch = dead_reckoning(drive.motions[max(0, done - 1) : count - 1])
+        poses = np.concatenate([poses[:-1], se2.compose(poses[-1], stretch)]) if done else stretch
         part, known = _first_poses(drive, count)
         fresh = np.isnan(landmarks[known, 0])
         start = np.where(fresh[:, None], _mean_landmarks(part, poses), landmarks[known])

@@ -18,7 +18,7 @@ from .errors import FileFormatError, MapfuseError, Problem
 from .files import read_whole, write_whole
 from .jsondata import decode, encode, json_faults, render, said
 from .transform import Transform
-from .values import frozen_array
+from .values import frozen_array, rebuilt
 
 Array = NDArray[np.float64]
 
@@ -55,6 +55,9 @@ class Truth:
 
     def __hash__(self) -> int:
         return hash((tuple(self.frames), tuple(self.places)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
 
     def T12(self, name1: str, name2: str) -> Transform:
         """Coordinates of map ``name2`` into map ``name1``; KeyError for a map that the truth doesn't know."""

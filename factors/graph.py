@@ -265,7 +265,7 @@ def _starting_poses(recorded: LandmarkMap, start: ArrayLike | None) -> Array:
         if given.shape not in ((n, 2), (n, 3)) or not np.isfinite(given).all():
             raise errors.MapfuseError(f"starting poses of map {recorded.name!r} must be finite, ({n}, 2) or ({n}, 3)")
         positions = given[:, :2]
-        if given.shape[1] == 3:
+        if given.shape[-1] > 2:
             thetas = np.where([h is None for h in headings], 0.0, given[:, 2])
     return np.column_stack([positions, thetas]).reshape(n, 3)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mapfuse.datasets.maps import JointCovariance, LandmarkMap, Link
 from mapfuse.datasets.transform import Transform
-from mapfuse.datasets.values import frozen_array, same_fields
+from mapfuse.datasets.values import frozen_array, rebuilt, same_fields
 
 Array = NDArray[np.float64]
 PairDecision = Literal["merged", "ambiguous", "no_overlap"]
@@ -58,6 +58,9 @@ class PairResult:
     def __hash__(self) -> int:
         return hash((self.maps, self.decision, self.probability))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
+
     @property
     def T12(self) -> Transform | None:
         """The first hypothesis' transformation."""
@@ -70,6 +73,7 @@ class Frame:
 
     group: int
     T: Transform
+    extra: Mapping[str, Any] = field(default_factory=dict, repr=False, hash=False)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -103,6 +107,9 @@ class FusedLandmark:
     def __hash__(self) -> int:
         return hash((self.id, self.x, self.y))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FusedMap:
@@ -130,3 +137,19 @@ class FusedMap:
 
     def __hash__(self) -> int:
         return hash((self.decision, self.probability, self.maps))
+
+    def to_map(self, group: int = 0, name: str | None = None) -> LandmarkMap:
+        """One group's merged map as a recorded map, in the frame of the group's first map, to be fused again.
+
+        It carries the group's joint covariance, each landmark's existence and summed counters, links within the
+        group, the walls of all embedded sources, the path of the first one (those of the others under the unknown
+        key ``other_paths``), and of each noise figure the sources' worst (`mapfuse.fusion.tomap.combined_noise`). The
+        joint covariance has 3 rows per landmark where all have a heading; otherwise 2, and each landmark with heading
+        its own 3x3 covariance. Compass readings are left out where several robots' offsets aren't known. The
+        ``name`` is the sources' names joined by a plus sign unless given.
+
+        Raises MapfuseError where there is no such group, or where its joint covariance was not kept.
+        """
+        from .tomap import to_map
+
+        return to_map(self, group, name)

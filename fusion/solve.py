@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +15,7 @@ from scipy.linalg import cho_solve, cholesky, LinAlgError
 from scipy.sparse import csr_array
 from scipy.stats import chi2
 
+from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapfuseError, TooLargeError, UndeterminedError
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import Correspondence, FrameKey, LandmarkKey, Problem, Unknown
@@ -28,8 +29,9 @@ log = logging.getLogger(__name__)
 #: The joint covariance is kept dense; a problem with more unknown poses than this is refused.
 MAX_UNKNOWNS = 5000
 #: A solution counts as an optimum when the next Gauss-Newton step moves no unknown by more than this [m, rad].
-CONVERGED_STEP = 1e-5
+CONVERGED_STEP = 1e-6
 MAX_RESTARTS = 10
+MAX_POLISHING = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,29 +123,36 @@ def information(linear: Any, size: int) -> Array:
 
 
 def _optimise(problem: Problem) -> tuple[dict[Unknown, Array], int]:
-    """Levenberg-Marquardt to a true optimum: restarted until the Gauss-Newton step vanishes.
+    """Levenberg-Marquardt, then Gauss-Newton steps to the very optimum.
 
     LM may report success after a small decrease far from the optimum, and covariances there are worth nothing.
     """
     graph, values = problem.graph(), problem.values()
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(200)
-    params.setRelativeErrorTol(1e-12)
-    params.setAbsoluteErrorTol(1e-12)
-    iterations = 0
-    for _ in range(MAX_RESTARTS):
-        try:
+    params.setRelativeErrorTol(1e-10)
+    params.setAbsoluteErrorTol(1e-10)
+    iterations, largest = 0, np.inf
+    try:
+        for _ in range(MAX_RESTARTS):
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
             values = optimizer.optimize()
             iterations += optimizer.iterations()
-            step = graph.linearize(values).optimize()
-        except RuntimeError as error:
-            raise _undetermined(problem, error) from None
-        largest = max((float(np.abs(step.at(key)).max()) for key in values.keys()), default=0.0)  # noqa: SIM118
-        if largest < CONVERGED_STEP:
-            break
-    else:
-        log.warning("optimum not reached: the last step was still %.2g", largest)
+            for _ in range(MAX_POLISHING):
+                step = graph.linearize(values).optimize()
+                largest = max(float(np.abs(step.at(unknown)).max()) for unknown in values.keys())  # noqa: SIM118
+                further = values.retract(step)
+                if largest > 1.0 or graph.error(further) > graph.error(values) + 1e-6:
+                    break
+                values, iterations = further, iterations + 1
+                if largest < CONVERGED_STEP:
+                    break
+            if largest < CONVERGED_STEP:
+                break
+        else:
+            log.warning("optimum not reached: the last step was still %.2g", largest)
+    except RuntimeError as error:
+        raise _undetermined(problem, error) from None
     poses = problem.poses(values)
     if not all(np.isfinite(pose).all() for pose in poses.values()):
         raise MapfuseError("the solver left finite numbers; the maps' noise or positions are out of proportion")
@@ -156,20 +165,50 @@ def _undetermined(problem: Problem, error: RuntimeError) -> UndeterminedError:
     return UndeterminedError("the measurements leave something open near these", landmarks)
 
 
+def _solved(problem: Problem) -> Solution:
+    poses, iterations = _optimise(problem)
+    squared = float(sum(np.sum(m.residual(poses) ** 2) for m in problem.measurements))
+    return Solution(problem, poses, squared, iterations)
+
+
+def left_out(solution: Solution, match: Correspondence) -> float:
+    """Squared Mahalanobis distance of a correspondence from what all other measurements predict.
+
+    With r its residual at the optimum, R its noise and S the posterior covariance of what it measures, that is
+    ``r' (R - S)^-1 r``: the residual of a tight measurement says little by itself, since it pulls the optimum along.
+    """
+    a, b = match.unknowns
+    moved = solution.covariance(a) + solution.covariance(b) - solution.covariance(a, b) - solution.covariance(b, a)
+    T_a, T_b = solution.poses[a], solution.poses[b]
+    r = np.append(T_b[:2] - T_a[:2], se2.wrap(T_b[2] - T_a[2] - match.measured[2]))
+    rows = slice(0, match.dof)
+    n = match.noise
+    square_root = np.array([[n.xx, n.xy, 0], [0, n.yy, 0], [0, 0, n.tt or 1.0]])
+    R = se2.body_to_axes(T_b[2], np.linalg.inv(square_root.T @ square_root))
+    free = (R - moved)[rows, rows]
+    return float(r[rows] @ np.linalg.solve(free, r[rows]))
+
+
 def solve(problem: Problem, config: SolvingConfig) -> Solution:
-    """Solve a problem; correspondences under a robust loss are gated, and the accepted ones solved again as Gaussian.
+    """Solve a problem; correspondences under a robust loss are gated, and the accepted ones solved as plain Gaussian.
+
+    The robust optimum is the starting point. Then, one by one, the correspondence that disagrees most with all
+    the rest is taken out, while it lies beyond the chi-square gate, and the rest is solved again.
 
     Raises `UndeterminedError` naming the landmarks concerned where the measurements leave something open.
     """
-    poses, iterations = _optimise(problem)
-    doubtful = [m for m in problem.of_kind(Correspondence) if m.loss is not None]
     rejected: list[Correspondence] = []
-    if doubtful:
-        limit = {dof: chi2.ppf(config.gate_probability, dof) for dof in (2, 3)}
-        rejected = [m for m in doubtful if float(np.sum(m.residual(poses) ** 2)) > limit[m.dof]]
-        matches = [m.unknowns for m in problem.of_kind(Correspondence) if m not in rejected]
-        problem = problem.starting_at(poses).with_correspondences(matches)
-        poses, more = _optimise(problem)
-        iterations += more
-    squared = float(sum(np.sum(m.residual(poses) ** 2) for m in problem.measurements))
-    return Solution(problem, poses, squared, iterations, tuple(rejected))
+    if any(m.loss is not None for m in problem.of_kind(Correspondence)):
+        poses, _ = _optimise(problem)
+        problem = problem.starting_at(poses).with_correspondences(m.unknowns for m in problem.of_kind(Correspondence))
+    solution = _solved(problem)
+    while matches := problem.of_kind(Correspondence):
+        excess = [left_out(solution, m) / chi2.ppf(config.gate_probability, m.dof) for m in matches]
+        worst = int(np.argmax(excess))
+        if excess[worst] <= 1 or len(matches) < 3:
+            break
+        rejected.append(matches[worst])
+        kept = [m for m in problem.measurements if m is not matches[worst]]
+        problem = problem.starting_at(solution.poses).with_measurements(kept)
+        solution = _solved(problem)
+    return replace(solution, rejected=tuple(rejected))

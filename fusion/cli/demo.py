@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import UsageError, say, whole_or_absent
+from .console import UsageError, say, writing
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
@@ -24,11 +24,11 @@ class Case:
     load: Callable[[], Sequence[LandmarkMap]]
 
 
-def _built_in(*names: str) -> Callable[[], Sequence[LandmarkMap]]:
+def _built_in(scene: str) -> Callable[[], Sequence[LandmarkMap]]:
     def load() -> Sequence[LandmarkMap]:
         from mapfuse.datasets import read_map, recordings
 
-        return [read_map(recordings.path(name)) for name in names]
+        return [read_map(recordings.path(name)) for name in recordings.SCENES[scene]]
 
     return load
 
@@ -36,19 +36,19 @@ def _built_in(*names: str) -> Callable[[], Sequence[LandmarkMap]]:
 def _victoria_park() -> Sequence[LandmarkMap]:
     from mapfuse.datasets.victoria_park import victoria_park_halves
 
-    return victoria_park_halves()
+    return victoria_park_halves()[:2]
 
 
 CASES = (
     Case(
-        "same-floor",
-        "simulated: one corridor floor, mapped by two robots",
-        _built_in("one", "two"),
+        "ground-floor",
+        "simulated: one corridor floor that two robots explored, the second one half of it",
+        _built_in("ground-floor"),
     ),
     Case(
-        "different-floors",
-        "simulated: two different floors, which must not be merged",
-        _built_in("one", "three"),
+        "two-buildings",
+        "simulated: two different buildings of one style, which must not be merged",
+        _built_in("two-buildings"),
     ),
     Case(
         "victoria-park",
@@ -84,9 +84,9 @@ def _run(case: Case, folder: Path) -> None:
     fused = fuse(maps)
     recorded = [folder / f"{map_.name}.map.json" for map_ in maps]
     result, picture = folder / f"{case.name}.fused.json", folder / f"{case.name}.png"
-    with whole_or_absent([*recorded, result, picture]) as draft:
-        for path, map_ in zip(recorded, maps, strict=True):
-            write_map(map_, draft[path])
-        write_fused(fused, draft[result])
-        draw_fused(fused, draft[picture])
+    for path, map_ in zip(recorded, maps, strict=True):
+        write_map(map_, path)
+    write_fused(fused, result)
+    with writing(picture):
+        draw_fused(fused, picture)
     say(f"{case.name} ({case.about})\n{summarise(fused)}\n  wrote {result}, {picture}\n")

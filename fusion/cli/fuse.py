@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import (
-    UsageError,
-    check_inputs,
-    check_outputs,
-    check_picture,
-    note,
-    say,
-    say_bytes,
-    whole_or_absent,
-)
+from .console import UsageError, check_outputs, check_picture, note, say, say_bytes, writing
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
@@ -67,7 +58,6 @@ def fuse_files(
     """
     if len(maps) < 2:
         raise UsageError("give at least two maps to fuse")
-    check_inputs([*maps, *([config] if config else [])])
     check_picture("--plot", plot)
     check_outputs({"-o": output, "--plot": plot, "--map": merged_map}, [*maps, *([config] if config else [])])
     settings = _settings(config, accept, overlap_prior, mode)
@@ -110,8 +100,6 @@ def read_maps(paths: Sequence[Path]) -> list[LandmarkMap]:
             maps.append(read_map(path))
         except MapfuseError as error:
             wrong.append(str(error))
-        except OSError as error:
-            wrong.append(f"{path}: {error.strerror or error}")
     if wrong:
         raise UsageError("\n".join(wrong))
     path_from_name: dict[str, Path] = {}
@@ -133,25 +121,24 @@ def _write(
 
     kept = fused if embed else replace(fused, sources={})
     one_frame = fused.decision == "merged"
-    targets = [path for path in (output, plot, merged_map if one_frame else None) if path is not None]
-    if targets:
-        with whole_or_absent(targets) as draft:
-            if output is not None:
-                write_fused(kept, draft[output])
-            if plot is not None:
-                from mapfuse.fusion.show import draw_fused
+    if output is not None:
+        write_fused(kept, output)
+    if plot is not None:
+        from mapfuse.fusion.show import draw_fused
 
-                draw_fused(fused, draft[plot])
-            if merged_map is not None and one_frame:
-                write_map(fused.to_map(), draft[merged_map])
+        with writing(plot):
+            draw_fused(fused, plot)
+    if merged_map is not None and one_frame:
+        write_map(fused.to_map(), merged_map)
     if as_json:
         say_bytes(output.read_bytes() if output is not None else _encoded(kept))
     else:
         from .summary import summarise
 
         say(summarise(fused))
-        for path in targets:
-            say(f"wrote {path}")
+        for path in (output, plot, merged_map if one_frame else None):
+            if path is not None:
+                say(f"wrote {path}")
     if merged_map is not None and not one_frame:
         note(f"{merged_map} was not written: the maps were not merged")
 

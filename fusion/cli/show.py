@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .console import check_inputs, check_outputs, check_picture, say, whole_or_absent
+from .console import check_outputs, check_picture, say, writing
 
 
 def show(
@@ -18,7 +18,6 @@ def show(
     ] = None,
 ) -> None:
     """Draw a recorded map or a fused map."""
-    check_inputs([file])
     picture = output if output is not None else Path(_stem(file) + ".png")
     check_picture("-o", picture)
     check_outputs({"-o": picture}, [file])
@@ -30,16 +29,16 @@ def show(
         from .summary import summarise
 
         fused = read_fused(file)
-        with whole_or_absent([picture]) as draft:
-            draw_fused(fused, draft[picture])
+        with writing(picture):
+            draw_fused(fused, picture)
         say(summarise(fused))
     else:
         from mapfuse.datasets import read_map
         from mapfuse.fusion.show import draw_map
 
         map_ = read_map(file)
-        with whole_or_absent([picture]) as draft:
-            draw_map(map_, draft[picture])
+        with writing(picture):
+            draw_map(map_, picture)
         say(f"{map_.name}: {len(map_)} landmarks")
     say(f"wrote {picture}")
 
@@ -55,10 +54,12 @@ def _format_of(file: Path) -> str:
     """The file's own word for its format, empty where it has none: the reader of maps then says what is wrong."""
     import msgspec
 
+    from mapfuse.datasets.files import read_whole
+
     class Head(msgspec.Struct):
         format: str = ""
 
     try:
-        return msgspec.json.decode(file.read_bytes(), type=Head).format
+        return msgspec.json.decode(read_whole(file), type=Head).format
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return ""

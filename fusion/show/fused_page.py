@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from mapfuse.datasets.maps import LandmarkMap
 
 from ..result import FusedMap, PairResult
-from .labels import probability_text, transform_text
+from .labels import probability_text, shortened, transform_text
 from .layout import MAX_SOURCES, Panel
 from .scene import Scene, laid_together, scene_of_group, scene_of_map
 
@@ -36,10 +37,14 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
+def _joined(names: Iterable[str]) -> str:
+    return " + ".join(shortened(name) for name in names)
+
+
 def map_page(map_: LandmarkMap) -> Page:
     """The page of one map."""
     robot = f" by {map_.robot}" if map_.robot else ""
-    title = f"{map_.name}: {counted(len(map_), 'landmark')}{robot}"
+    title = f"{shortened(map_.name)}: {counted(len(map_), 'landmark')}{robot}"
     return Page(title, (map_.name,), mains=(Panel("", scene_of_map(map_)),))
 
 
@@ -63,7 +68,7 @@ def fused_page(fused: FusedMap) -> Page:
 
 
 def _title(fused: FusedMap) -> str:
-    names = " + ".join(fused.maps) if len(fused.maps) <= 4 else counted(len(fused.maps), "map")
+    names = _joined(fused.maps) if len(fused.maps) <= 4 else counted(len(fused.maps), "map")
     return f"{names}: {fused.decision.replace('_', ' ')}, {_probability(fused)}"
 
 
@@ -81,12 +86,14 @@ def _facts(fused: FusedMap) -> tuple[str, ...]:
     """Where each merged map's frame is, with one sigma; of two maps as T12."""
     if len(fused.maps) == 2 and fused.decision == "merged" and fused.pairs and fused.pairs[0].T12 is not None:
         pair = fused.pairs[0]
-        first, second = pair.maps
+        first, second = map(shortened, pair.maps)
         how = f"takes {second} into {first}, ± 1 σ"
         return (f"T12:  {transform_text(fused.pairs[0].T12)}   ({how})",)
     facts = [
-        f"{name} in {names[0]}:  {transform_text(fused.frames[name].T)}" for names in fused.groups for name in names[1:]
-    ]
+        f"{shortened(name)} in {shortened(names[0])}:  {transform_text(fused.frames[name].T)}"
+        for names in fused.groups
+        for name in names[1:]
+    ]  # fmt: skip
     facts = [fact + "   (± 1 σ)" if k == 0 else fact for k, fact in enumerate(facts)]
     more = len(facts) - MAX_FACTS
     return (*facts[:MAX_FACTS], *([f"and {counted(more, 'map')} more"] if more > 0 else []))
@@ -96,7 +103,7 @@ def _source_panels(fused: FusedMap) -> tuple[Panel, ...]:
     shown = [(k, name) for k, name in enumerate(fused.maps) if name in fused.sources][:MAX_SOURCES]
     return tuple(
         Panel(
-            f"{name}, in its own frame: {counted(len(fused.sources[name]), 'landmark')}",
+            f"{shortened(name)}, in its own frame: {counted(len(fused.sources[name]), 'landmark')}",
             scene_of_map(fused.sources[name], k),
         )
         for k, name in shown
@@ -106,8 +113,9 @@ def _source_panels(fused: FusedMap) -> tuple[Panel, ...]:
 def _group_panel(fused: FusedMap, group: int) -> Panel:
     scene = scene_of_group(fused, group)
     names = fused.groups[group]
-    which = "merged map" if len(names) == len(fused.maps) else " + ".join(names)
-    title = f"{which}, in the frame of {names[0]}: {counted(len(scene), 'landmark')}, {int(scene.common.sum())} common"
+    which = "merged map" if len(names) == len(fused.maps) else _joined(names)
+    counts = f"{counted(len(scene), 'landmark')}, {int(scene.common.sum())} common"
+    title = f"{which}, in the frame of {shortened(names[0])}: {counts}"
     sigma = _position_sigmas(scene)
     if len(sigma):
         title += f"; position σ {np.median(sigma):.2f} m (median), {sigma.max():.2f} m (largest)"
@@ -136,7 +144,7 @@ def _rival_panels(fused: FusedMap, pair: PairResult) -> tuple[Panel, ...]:
 
 def _ambiguous_statement(pair: PairResult, drawn: int) -> str:
     """What is known of an ambiguous pair; placements that aren't drawn are listed."""
-    first, second = pair.maps
+    first, second = map(shortened, pair.maps)
     lines = [
         f"Ambiguous: nothing is merged. Where {second} lies in {first} can't be told: "
         f"{counted(len(pair.hypotheses), 'placement')} possible, "
@@ -165,8 +173,8 @@ def _notes(fused: FusedMap, groups_left_out: int) -> tuple[str, ...]:
     """The reasons, pair by pair, and what the page leaves out."""
     notes = []
     for pair in fused.pairs[:MAX_FACTS]:
-        who = "" if len(fused.pairs) == 1 else f"{' + '.join(pair.maps)}, {pair.decision.replace('_', ' ')}: "
-        overruled = f" (overruled by {', '.join(pair.overruled_by)})" if pair.overruled_by else ""
+        who = "" if len(fused.pairs) == 1 else f"{_joined(pair.maps)}, {pair.decision.replace('_', ' ')}: "
+        overruled = f" (overruled by {', '.join(map(shortened, pair.overruled_by))})" if pair.overruled_by else ""
         if pair.reason or who:
             notes.append(f"{who}{pair.reason}{overruled}")
     if len(fused.pairs) > MAX_FACTS:

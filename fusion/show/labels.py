@@ -88,12 +88,20 @@ def _fitting(probe: Text, figure: Figure, text: str, width_in: float) -> list[st
     characters = max(8, len(text))
     while True:
         lines = textwrap.wrap(text, characters) or [""]
-        widest = max(lines, key=len)
-        probe.set_text(widest)
+        probe.set_text("\n".join(lines))
         drawn = probe.get_window_extent().width / figure.dpi
         if drawn <= width_in or characters <= 8:
             return lines
         characters = max(8, min(characters - 1, int(characters * width_in / drawn)))
+
+
+def shortened(name: str, longest: int = 60) -> str:
+    """A name with its middle left out where it is longer.
+
+    >>> shortened("ground floor, northern wing", 20)
+    'ground floor…rn wing'
+    """
+    return name if len(name) <= longest else f"{name[: longest - 8]}…{name[-7:]}"
 
 
 def probability_text(p: float) -> str:

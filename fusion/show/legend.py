@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.lines import Line2D
 
+from .labels import shortened
 from .panel import look
 from .scene import COMMON_OWNER, Scene
 from .style import GREY, INK, MARKER_FROM_KIND, WALL, LineStyle
@@ -16,11 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.legend import Legend
 
 FONT = 8.0
-
-
-def shortened(name: str, longest: int = 28) -> str:
-    """A name that fits into a legend, its middle left out where it is longer."""
-    return name if len(name) <= longest else f"{name[: longest - 9]}…{name[-8:]}"
 
 
 #: What stands beside a label: one line or marker, or several on top of each other.
@@ -45,7 +41,7 @@ def _owner_entries(scenes: Sequence[Scene], names: Sequence[str]) -> list[Entry]
             ring = _handle("o", size=11.0, markerfacecolor="none", markeredgecolor=INK, markeredgewidth=0.9)
             entries.append(((square, ring), "in both maps" if len(names) == 2 else "in several maps"))
         else:
-            entries.append((square, shortened(names[k])))
+            entries.append((square, shortened(names[k], 28)))
     return entries
 
 

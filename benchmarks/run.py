@@ -1,0 +1,82 @@
+"""All benchmarks against the committed baseline.
+
+Run: ``.venv/bin/python benchmarks/run.py [--repeat N] [--gate] [--update-baseline] [--json]``. With ``--gate`` the exit
+code is 1 where a metric got worse than its tolerance or breaks its limit, three times in a row. Times are the best of N
+runs; those that are compared across machines are divided by a reference workload of the same run (unit ``x``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+
+import baseline
+import command_bench
+import matching_bench
+import reference
+from baseline import Metric
+
+#: Jobs of the matcher that a limit was promised for [ms].
+_MATCHING_LIMIT_MS = {
+    "exhaustive H1 H2 20 x 20": 5.0,
+    "exhaustive H1 H2 100 x 100": 100.0,
+    "point pairs 40 x 40": 100.0,
+}
+_ATTEMPTS = 3
+
+
+def matching_metrics(repeat: int, reference_s: float) -> list[Metric]:
+    """Times and accuracy of the matchers."""
+    out = []
+    for row in matching_bench.rows(repeat):
+        limit = _MATCHING_LIMIT_MS.get(row.job)
+        if limit is not None:
+            out.append(Metric(f"{row.job}: time", row.milliseconds, "ms", tolerance=None, limit=limit))
+        ratio = row.milliseconds / 1e3 / reference_s
+        out.append(Metric(f"{row.job}: time / reference", ratio, "x", tolerance=0.5))
+        out.append(Metric(f"{row.job}: off", row.displacement_m, "m", tolerance=0.02))
+    return out
+
+
+def measure(repeat: int) -> list[Metric]:
+    """Every metric, once."""
+    reference_s = reference.best_seconds(reference.work, 3 * repeat)
+    return [*matching_metrics(repeat, reference_s), *command_bench.metrics(repeat)]
+
+
+def main() -> int:
+    """Measure, compare, print; the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeat", type=int, default=5, metavar="N")
+    parser.add_argument("--gate", action="store_true", help="exit with 1 where a metric got worse")
+    parser.add_argument("--update-baseline", action="store_true", help="make this run the baseline")
+    parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
+    arguments = parser.parse_args()
+
+    before = baseline.read()
+    metrics = measure(arguments.repeat)
+    if arguments.update_baseline:
+        # the better of two runs: a disturbed baseline would let a real slow-down through
+        metrics = baseline.best_of(metrics, measure(arguments.repeat))
+        baseline.write(metrics)
+    failed = baseline.failures(metrics, before) if arguments.gate else []
+    for _ in range(1, _ATTEMPTS):
+        if failed:
+            metrics = baseline.best_of(metrics, measure(arguments.repeat))
+            failed = baseline.failures(metrics, before)
+
+    if arguments.json:
+        print(json.dumps([asdict(metric) for metric in metrics], indent=1))
+    else:
+        print(f"{'metric':48} {'value':>9} {'':3} {'before':>9}")
+        for m in metrics:
+            print(f"{m.name:48} {m.value:9.4g} {m.unit:3} {before.get(m.name, float('nan')):9.4g}")
+    for reason in failed:
+        print(f"worse: {reason}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
