@@ -42,7 +42,8 @@ def corridor_building(n: int, rng: np.random.Generator) -> list[Landmark]:
         for column in range(side):
             opened = [column + 1 < side, row + 1 < side, column > 0, row > 0]
             opened = [o and (rng.random() < 0.8) for o in opened]
-            links = tuple(Link("open" if o else "blocked", float(se2.wrap(k * np.pi / 2))) for k, o in enumerate(opened))
+            headings = (0.0, np.pi / 2, np.pi, -np.pi / 2)
+            links = tuple(Link("open" if o else "blocked", h) for o, h in zip(opened, headings, strict=True))
             kind = "junction" if sum(opened) > 2 else "corner"
             places.append(Landmark(f"s{row}.{column}", kind, column * pitch, row * pitch, links=links))
             places.append(Landmark(f"d{row}.{column}", "door", (column + rng.uniform(0.2, 0.8)) * pitch, row * pitch))

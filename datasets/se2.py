@@ -146,7 +146,7 @@ def inverse_jacobian(T_ab: ArrayLike) -> Array:
 def propagate(jacobian: ArrayLike, covariance: ArrayLike) -> Array:
     """``J C J'``, symmetrised."""
     J, C = np.asarray(jacobian, dtype=float), np.asarray(covariance, dtype=float)
-    out = J @ C @ np.swapaxes(J, -1, -2)
+    out: Array = J @ C @ np.swapaxes(J, -1, -2)
     return (out + np.swapaxes(out, -1, -2)) / 2
 
 

@@ -35,7 +35,7 @@ def _same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def same_fields(a: Any, b: object) -> bool:
+def same_fields(a: Any, b: Any) -> bool:
     """Equality of two dataclass values of one type, arrays compared by shape and content."""
     if type(a) is not type(b):
         return False

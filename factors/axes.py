@@ -15,6 +15,15 @@ from mapfuse.datasets import se2
 Array = NDArray[np.float64]
 
 
+def wrapped(angle: float) -> float:
+    """One angle [rad] in (-pi, pi]: `se2.wrap` without the cost of an array.
+
+    >>> wrapped(-np.pi) == np.pi
+    True
+    """
+    return float(np.pi - (np.pi - angle) % (2 * np.pi))
+
+
 def pose_rotations(thetas: ArrayLike) -> Array:
     """``d(axes error)/d(body tangent)`` ``(..., 3, 3)`` of poses with these angles [rad]."""
     thetas = np.asarray(thetas, dtype=float)

@@ -14,9 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapfuse.datasets import arms, se2
+from mapfuse.datasets import se2
 from mapfuse.datasets.maps import LandmarkMap
 
+from .axes import wrapped
+from .heading import headings_of
 from .keys import CompassKey, LandmarkKey, NorthKey, Unknown
 from .measurement import Array, Between, Poses, Prior
 from .noise import LOOSE_ROTATION, STEEL, PoseNoise
@@ -44,9 +46,9 @@ def compass_readings(recorded: LandmarkMap, r: int) -> Iterator[CompassReading]:
     """All compass readings of arms whose heading is known, by landmark id."""
     noise = PoseNoise.from_sigmas(np.inf, np.inf, recorded.noise.compass_sigma)
     for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
-        h = arms.heading_of(landmark) or 0.0
+        h = headings_of(recorded)[landmark.id] or 0.0
         seen = sorted(
-            float(se2.wrap(link.compass - (link.heading - h)))
+            wrapped(link.compass - (link.heading - h))
             for link in landmark.links
             if link.compass is not None and link.heading is not None
         )
@@ -57,11 +59,13 @@ def compass_readings(recorded: LandmarkMap, r: int) -> Iterator[CompassReading]:
 def robust_direction(angles: ArrayLike, sigmas: ArrayLike) -> float:
     """The direction [rad] that most of ``angles`` (n,) agree on, outliers or not.
 
-    The one of them (of at most 200) with the least sum of robust losses, then its weighted circular mean.
+    Of them (100 to 200 of many) the one with the least sum of robust losses, then a weighted circular mean.
     """
-    angles = np.sort(np.asarray(se2.wrap(angles), dtype=float))
+    angles = se2.wrap(angles)
     sigmas = np.broadcast_to(np.asarray(sigmas, dtype=float), angles.shape)
-    candidates = angles[:: max(1, len(angles) // 200)]
+    order = np.lexsort((sigmas, angles))
+    angles, sigmas = angles[order], sigmas[order]
+    candidates = angles[:: max(1, len(angles) // 100)]
     k = STEEL.constant
 
     def weights(direction: Array | float) -> Array:

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapfuse.datasets import arms, se2
+from mapfuse.datasets import arms
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 
+from .axes import wrapped
+from .heading import headings_of
 from .keys import LandmarkKey
 from .measurement import Between
 from .noise import Loss, PoseNoise
@@ -46,7 +48,7 @@ def arm_turn(
     None where no arms meet, or one of the two has no heading, or only one of them has arms (its heading is then
     defined otherwise). Two landmarks without arms mean the same by their own headings: 0.
     """
-    h1, h2 = arms.heading_of(landmark1), arms.heading_of(landmark2)
+    h1, h2 = headings_of(map1)[landmark1.id], headings_of(map2)[landmark2.id]
     if h1 is None or h2 is None:
         return None
     arms1, arms2 = arms.signature(landmark1), arms.signature(landmark2)
@@ -55,13 +57,13 @@ def arm_turn(
     met = _one_to_one(arms1, arms2, rotation)
     if not met:
         return None
-    off = [se2.wrap(arms1.headings[m] - h1 - (arms2.headings[n] - h2)) for m, n in met]
-    turn = off[0] + np.mean([se2.wrap(value - off[0]) for value in off])
+    off = [wrapped(arms1.headings[m] - h1 - (arms2.headings[n] - h2)) for m, n in met]
+    turn = off[0] + sum(wrapped(value - off[0]) for value in off) / len(off)
     variance = sum(
         recorded.noise.heading_sigma**2 / 2 * (1 / len(met) - 1 / len(signature.headings))
         for recorded, signature in ((map1, arms1), (map2, arms2))
     )
-    return float(se2.wrap(turn)), float(variance)
+    return wrapped(turn), float(variance)
 
 
 def _one_to_one(
@@ -70,7 +72,7 @@ def _one_to_one(
     """Pairs of arms that meet, each arm of 1 with the nearest of 2 only."""
     nearest: dict[int, tuple[float, int]] = {}
     for m, n in arms.overlay(arms1, arms2, rotation).pairs:
-        off = float(abs(se2.wrap(arms2.headings[n] + rotation - arms1.headings[m])))
+        off = abs(wrapped(arms2.headings[n] + rotation - arms1.headings[m]))
         nearest[m] = min(nearest.get(m, (np.inf, n)), (off, n))
     return tuple((m, n) for m, (_, n) in sorted(nearest.items()))
 
@@ -91,8 +93,7 @@ def correspondence(
     landmark1, landmark2 = map1[a.id], map2[b.id]
     turned = arm_turn(map1, landmark1, map2, landmark2, rotation)
     if turned is None:
-        h1, h2 = arms.heading_of(landmark1) or 0.0, arms.heading_of(landmark2) or 0.0
-        predicted = float(se2.wrap(rotation + h2 - h1))
+        predicted = wrapped(rotation + (headings_of(map2)[b.id] or 0.0) - (headings_of(map1)[a.id] or 0.0))
         return Correspondence(
             a, b, (0.0, 0.0, predicted), PoseNoise.from_sigmas(SAME_PLACE, SAME_PLACE, np.inf), loss
         )

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapfuse.datasets import arms, se2
 from mapfuse.datasets.errors import MapfuseError
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 
-from .axes import point_to_body
+from .axes import point_to_body, wrapped
+from .heading import headings_of
 from .keys import FrameKey, LandmarkKey
 from .link import travelled_links
 from .measurement import Between, Prior, Triple
@@ -96,14 +96,14 @@ def nearest_to_start(recorded: LandmarkMap, ids: Iterable[str]) -> Landmark:
 
 def anchor(recorded: LandmarkMap, r: int, landmark: Landmark) -> FrameAnchor:
     """The recorded position of a landmark, with its own covariance where it has one, else ``position_sigma``."""
-    h = arms.heading_of(landmark) or 0.0
+    h = headings_of(recorded)[landmark.id] or 0.0
     position = (
         recorded.noise.position_sigma**2 * np.eye(2)
         if landmark.covariance is None
         else landmark.covariance[:2, :2]
     )
     noise = PoseNoise.from_covariance(point_to_body(h, position), LOOSE_ROTATION)
-    measured = (landmark.x, landmark.y, float(se2.wrap(h)))
+    measured = (landmark.x, landmark.y, wrapped(h))
     return FrameAnchor(FrameKey(r), LandmarkKey(r, landmark.id), measured, noise)
 
 

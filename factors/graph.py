@@ -15,16 +15,16 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapfuse.datasets import arms, errors, se2
+from mapfuse.datasets import errors, se2
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from .compass import CompassReading, compass_readings, north_measurements
 from .correspondence import Correspondence, correspondence
 from .frame import Gauge, TransformPrior, frame_anchors, pose_triple
-from .heading import heading_measurements
+from .heading import heading_measurements, headings_of
 from .joint import joint_measurement
-from .keys import FrameKey, KeyBook, LandmarkKey, Unknown
+from .keys import ByIdentity, FrameKey, KeyBook, LandmarkKey, Unknown
 from .link import link_measurements
 from .measurement import Measurement, Poses
 from .noise import DOUBT, Loss, floored_eigen
@@ -165,32 +165,17 @@ def pair_problem(
     return build_problem([map1, map2], [np.zeros(3), T12], matches, loss=DOUBT if robust else None, starts=starts)
 
 
-class _ByIdentity:
-    """A map as a cache key that compares by identity: comparing two maps field by field costs more than it saves."""
-
-    __slots__ = ("recorded",)
-
-    def __init__(self, recorded: LandmarkMap) -> None:
-        self.recorded = recorded
-
-    def __hash__(self) -> int:
-        return id(self.recorded)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _ByIdentity) and self.recorded is other.recorded
-
-
 def map_measurements(recorded: LandmarkMap, r: int) -> tuple[Measurement, ...]:
     """All that map ``r`` says of its own landmarks and frame (links, anchors, headings, compass, joint covariance).
 
     Kept for the maps used last, since it is the same under every hypothesis. Raises `MapError` for numbers that are
     not finite, duplicate ids, links to landmarks that the map doesn't have, and covariances that are none.
     """
-    return _map_measurements(_ByIdentity(recorded), r)
+    return _map_measurements(ByIdentity(recorded), r)
 
 
 @lru_cache(maxsize=64)
-def _map_measurements(cached: _ByIdentity, r: int) -> tuple[Measurement, ...]:
+def _map_measurements(cached: ByIdentity, r: int) -> tuple[Measurement, ...]:
     recorded = cached.recorded
     _check_map(recorded)
     joint = joint_measurement(recorded, r)
@@ -257,7 +242,7 @@ def _pose(T: Transform | ArrayLike, r: int) -> Array:
 def _starting_poses(recorded: LandmarkMap, start: ArrayLike | None) -> Array:
     """Poses (n, 3) of all landmarks in their map's frame; theta 0 for landmarks without heading."""
     n = len(recorded)
-    headings = [arms.heading_of(landmark) for landmark in recorded.landmarks]
+    headings = [headings_of(recorded)[name] for name in recorded.ids]
     thetas = np.array([0.0 if h is None else h for h in headings], dtype=float)
     positions = recorded.positions
     if start is not None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from mapfuse.datasets import arms
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 
-from .keys import FrameKey, LandmarkKey
+from .keys import ByIdentity, FrameKey, LandmarkKey
 from .measurement import Between
 from .noise import TIGHT, PoseNoise
 
@@ -23,6 +24,16 @@ class HeadingPrior(Between):
 @dataclass(frozen=True, slots=True)
 class RotationPin(Between):
     """The rotation of a landmark without heading, held to its map's frame, where it means nothing."""
+
+
+def headings_of(recorded: LandmarkMap) -> Mapping[str, float | None]:
+    """Heading [rad, map frame] of each landmark by id, None where it has none; kept for the maps used last."""
+    return _headings_of(ByIdentity(recorded))
+
+
+@lru_cache(maxsize=256)
+def _headings_of(cached: ByIdentity) -> Mapping[str, float | None]:
+    return {landmark.id: arms.heading_of(landmark) for landmark in cached.recorded.landmarks}
 
 
 def heading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
@@ -46,7 +57,7 @@ def heading_measurements(
     ``known``: landmarks whose headings a joint covariance gives.
     """
     for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
-        h = arms.heading_of(landmark)
+        h = headings_of(recorded)[landmark.id]
         key = LandmarkKey(r, landmark.id)
         if h is None:
             noise = PoseNoise.from_sigmas(np.inf, np.inf, TIGHT)

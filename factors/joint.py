@@ -14,11 +14,12 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from mapfuse.datasets import arms, se2
+from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.maps import LandmarkMap
-from mapfuse.datasets.values import frozen_array
+from mapfuse.datasets.values import frozen_array, rebuilt
 
+from .heading import headings_of
 from .keys import FrameKey, KeyBook, LandmarkKey, Unknown
 from .measurement import Array, Poses, squared_error
 from .noise import floored_eigen
@@ -46,6 +47,9 @@ class JointMeasurement:
             raise MapfuseError(f"a joint measurement of {n} landmarks and {m} numbers has arrays of other shapes")
         if not (np.isfinite(self.recorded).all() and np.isfinite(self.sqrt_information).all()):
             raise MapfuseError("a joint measurement has numbers that are not finite")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -129,7 +133,7 @@ def joint_measurement(recorded: LandmarkMap, r: int) -> JointMeasurement | None:
         return None
     _check(recorded, joint.order, joint.rows, joint.matrix.shape)
     landmarks = [recorded[name] for name in joint.order]
-    headings = [arms.heading_of(landmark) for landmark in landmarks]
+    headings = [headings_of(recorded)[name] for name in joint.order]
     poses = np.array([(l.x, l.y, h or 0.0) for l, h in zip(landmarks, headings, strict=True)])
     kept = [
         (i, row)

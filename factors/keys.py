@@ -48,6 +48,21 @@ Unknown = LandmarkKey | FrameKey | CompassKey | NorthKey
 _LETTERS = {FrameKey: "T", LandmarkKey: "l", CompassKey: "c", NorthKey: "n"}
 
 
+class ByIdentity:
+    """A map as a cache key that compares by identity: comparing two maps field by field costs more than it saves."""
+
+    __slots__ = ("recorded",)
+
+    def __init__(self, recorded: LandmarkMap) -> None:
+        self.recorded = recorded
+
+    def __hash__(self) -> int:
+        return id(self.recorded)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ByIdentity) and self.recorded is other.recorded
+
+
 def has_compass(recorded: LandmarkMap) -> bool:
     """Whether the map carries a compass reading of an arm whose heading is known."""
     return any(

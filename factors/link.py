@@ -15,10 +15,12 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from mapfuse.datasets import arms, se2
+from mapfuse.datasets import arms
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 
+from .axes import wrapped
+from .heading import headings_of
 from .keys import KeyBook, LandmarkKey, Unknown
 from .measurement import Array, Between, Poses, squared_error
 from .noise import LOOSE_ROTATION, TIGHT, PoseNoise
@@ -109,7 +111,7 @@ def twin(recorded: LandmarkMap, landmark: Landmark, link: Link) -> Link | None:
         gap = abs((other.distance or 0.0) - (link.distance or 0.0))
         if link.heading is None or other.heading is None:
             return gap, np.pi
-        return gap, float(abs(se2.wrap(other.heading - link.heading - np.pi)))
+        return gap, abs(wrapped(other.heading - link.heading - np.pi))
 
     far = recorded[link.connected_to_id or ""]
     back = [other for other, target in travelled_links(recorded, far) if target.id == landmark.id]
@@ -138,7 +140,7 @@ def _leaves_chord(landmark: Landmark, far: Landmark, link: Link) -> bool:
     """Whether an arm points elsewhere than to where the far landmark was recorded."""
     if link.heading is None or (far.x == landmark.x and far.y == landmark.y):
         return False
-    return bool(abs(se2.wrap(_chord(landmark, far) - link.heading)) > BENT)
+    return abs(wrapped(_chord(landmark, far) - link.heading)) > BENT
 
 
 def _chord(landmark: Landmark, far: Landmark) -> float:
@@ -169,7 +171,7 @@ def _same_distance(link: Link, other: Link) -> bool:
 def _displacement(
     recorded: LandmarkMap, r: int, landmark: Landmark, far: Landmark, link: Link, other: Link | None
 ) -> LinkMeasurement:
-    h_i, h_j = arms.heading_of(landmark) or 0.0, arms.heading_of(far) or 0.0
+    h_i, h_j = headings_of(recorded)[landmark.id] or 0.0, headings_of(recorded)[far.id] or 0.0
     assert link.heading is not None
     assert link.distance is not None
     noise, d = recorded.noise, link.distance
@@ -188,12 +190,12 @@ def _displacement(
         same_length = same_direction = False
         if other is not None and other.heading is not None:
             same_length = _same_distance(link, other)
-            same_direction = bool(abs(se2.wrap(other.heading - link.heading - np.pi)) <= OPPOSITE)
+            same_direction = abs(wrapped(other.heading - link.heading - np.pi)) <= OPPOSITE
     along *= np.sqrt(2) if same_length else 1.0
     across *= np.sqrt(2) if same_direction else 1.0
     relative_direction = direction - h_i
     xy = length * np.array([np.cos(relative_direction), np.sin(relative_direction)])
-    turn = float(se2.wrap(h_j - h_i))
+    turn = wrapped(h_j - h_i)
     return LinkMeasurement(
         LandmarkKey(r, landmark.id),
         LandmarkKey(r, far.id),

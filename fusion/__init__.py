@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .config import FuseConfig
+    from .groups import fuse
     from .fusedfile import read_fused, write_fused
-    from .pair import fuse
     from .result import FusedMap
 
 __all__ = ["FuseConfig", "FusedMap", "fuse", "read_fused", "write_fused"]
@@ -20,7 +20,7 @@ __all__ = ["FuseConfig", "FusedMap", "fuse", "read_fused", "write_fused"]
 _MODULE_FROM_NAME = {
     "FuseConfig": "config",
     "FusedMap": "result",
-    "fuse": "pair",
+    "fuse": "groups",
     "read_fused": "fusedfile",
     "write_fused": "fusedfile",
 }

@@ -53,14 +53,16 @@ class EvidenceConfig:
     ``junction_discount`` [nats]: taken off for each matched junction after the first, since junctions lie on grids.
     ``look_elsewhere`` [nats]: taken off for each hypothesis, since many are tried.
     ``repetition_rate``: probability that a building repeats itself in a way that two hypotheses fit.
+    ``repetition_odds`` [nats]: log odds that a wrong hypothesis may reach by chance where nothing repeats.
     """
 
     corridor_width_m: float = 1.0
     corridor_angle_deg: float = 20.0
     arm_error_rate: float = 0.05
     junction_discount: float = 2.0
-    look_elsewhere: float = 2.0
+    look_elsewhere: float = 4.0
     repetition_rate: float = 0.05
+    repetition_odds: float = 4.0
 
     def __post_init__(self) -> None:
         _check(
@@ -73,6 +75,7 @@ class EvidenceConfig:
                 "junction_discount": (0, 50),
                 "look_elsewhere": (-50, 100),
                 "repetition_rate": (0, 1),
+                "repetition_odds": (-50, 50),
             },
         )
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist, squareform
 
 from mapfuse.datasets import se2
 
@@ -93,14 +95,18 @@ class SeenArea:
     def of(cls, prepared: PreparedMap, points: NDArray[np.intp]) -> SeenArea:
         """From the map's point landmarks (places ``points``), in the map's frame.
 
-        Without knowledge of the sensor, a robot is taken to have seen what is no further from one of its landmarks
-        than those are from each other.
+        With a path: as far around it as nine in ten of the landmarks lie from it. Without one a robot is taken to have
+        seen what is no further from one of its landmarks than the gaps between these: nine in ten of the edges of
+        their minimum spanning tree.
         """
-        centres = prepared.positions[points]
-        if len(centres) < 2:
-            return cls(centres, 1.0)
-        distance, _ = cKDTree(centres).query(centres, k=[2])
-        return cls(centres, float(np.median(distance)))
+        at = prepared.positions[points]
+        if len(at) < 2:
+            return cls(at, 1.0)
+        if prepared.map.path is not None and len(prepared.map.path):
+            path = prepared.map.path[:, 1:3]
+            return cls(path, max(float(np.quantile(cKDTree(path).query(at)[0], 0.9)), 0.5))
+        edges = minimum_spanning_tree(squareform(pdist(at))).data
+        return cls(at, max(float(np.quantile(edges, 0.9)) if len(edges) else 0.0, 0.5))
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """Which points (k, 2) lie inside."""
@@ -118,7 +124,7 @@ class SeenArea:
             return 0.0
         radius = self.radius if other is None else min(self.radius, other.radius)
         low, high = self.centres.min(axis=0) - self.radius, self.centres.max(axis=0) + self.radius
-        step = max(radius / 5, float((high - low).max()) / 400)
+        step = max(radius / 8, float((high - low).max()) / 400)
         axes = [np.arange(low[k] + step / 2, high[k], step) for k in range(2)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         inside = self.contains(grid)

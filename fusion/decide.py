@@ -36,9 +36,10 @@ def posterior(log_odds: Array, contradiction: Array, evidence: EvidenceConfig, o
         return np.ones(1)
     best = int(np.argmax(log_odds))
     rho = evidence.repetition_rate
-    # odds that the building repeats, given how far a wrong hypothesis would have to go by chance
-    repeats = rho / (rho + (1 - rho) * np.exp(-np.clip(log_odds, -50, 50)))
-    alike = log_odds[best] + np.minimum(contradiction - contradiction[best], 50.0)
+    # probability that the building repeats, given how far a wrong hypothesis would have to go by chance
+    by_chance = np.exp(-np.clip(log_odds - evidence.repetition_odds, -50, 50))
+    repeats = rho / (rho + (1 - rho) * by_chance)
+    alike = log_odds[best] + contradiction - contradiction[best]
     with np.errstate(divide="ignore"):
         log_weight = np.logaddexp(np.log1p(-repeats) + log_odds, np.log(repeats) + alike)
     log_weight[best] = log_odds[best]

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import Kind, signature
@@ -20,7 +21,7 @@ from mapfuse.datasets.maps import DOOR
 from .config import EvidenceConfig
 from .coverage import SeenArea, Segments, overlap_length, passed
 from .elastic import ArmOverlay, Joined
-from .growth import Growth
+from .growth import PRIOR_SIGMA, Growth
 from .prepared import PreparedMap
 
 Array = NDArray[np.float64]
@@ -28,7 +29,9 @@ Array = NDArray[np.float64]
 #: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
 ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
 #: Probability that a compass agrees by chance although its robot was misled by steel everywhere.
-STEEL_RATE = 0.02
+STEEL_RATE = 0.003
+#: Shares of its landmarks that an imperfect alias may lack.
+LACKING = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +62,8 @@ class Terms:
 class Weighed:
     """A grown hypothesis with its evidence.
 
-    ``contradiction`` [nats]: what alone may tell apart two hypotheses that a repeating building makes alike: how far
-    misses, blocked arms and compass fall behind what the right one would show. ``missed1``, ``missed2``: landmarks of
+    ``contradiction`` [nats]: what alone may tell apart two hypotheses that a repeating building makes alike: misses,
+    blocked arms and compass, as the odds of being the right place against being an alias of it. ``missed1``, ``missed2``: landmarks of
     map 1, map 2 that the other robot passed without recording them.
     """
 
@@ -117,6 +120,11 @@ class Background:
         """True point landmarks per square metre, by label."""
         area = self.area1.area() + self.area2.area()
         return self._rates(self.points1, self.points2, max(area, 1.0))
+
+    def rate_of(self, m: PreparedMap, k: int) -> float:
+        """True landmarks like landmark ``k`` of one of the two maps: per metre of corridor, or per m^2 for points."""
+        point = self.points1[k] if m is self.m1 else self.points2[k]
+        return (self.area_rate if point else self.rate)[label(m, k)]
 
     def _rates(self, of1: NDArray[np.bool_], of2: NDArray[np.bool_], extent: float) -> dict[str, float]:
         expected: Counter[str] = Counter()
@@ -265,6 +273,17 @@ def _point_matches(joined: Joined, background: Background) -> float:
     return total
 
 
+def _point_prior(background: Background) -> float:
+    """Density of T12 before looking [nats], where only points place map 2.
+
+    Uniform over the turns and over the shifts that let the two seen areas touch, in place of the wide normal prior
+    under which the residuals were weighed.
+    """
+    extent = sum(float(np.sqrt(max(area.area(), 1.0) / np.pi)) for area in (background.area1, background.area2))
+    wide = float(np.log(2 * np.pi) * 1.5 + np.log(PRIOR_SIGMA).sum())
+    return wide - float(np.log(np.pi * extent**2 * 2 * np.pi))
+
+
 def _detected(m: PreparedMap, type_: str) -> float:
     return m.map.noise.detection(type_)
 
@@ -317,7 +336,7 @@ def passing(growth: Growth, background: Background, config: EvidenceConfig) -> P
 
 def _miss(m: PreparedMap, k: int, other: PreparedMap) -> float:
     """log probability that the other robot passed this recorded landmark and did not record it."""
-    return float(np.log1p(-(1 - false_alarm(m, k)) * _detected(other, m.map.types[k])))
+    return float(np.log1p(-_recorded_rate(m, k, other)))
 
 
 def _compass(m1: PreparedMap, m2: PreparedMap, theta: float) -> float:
@@ -329,14 +348,25 @@ def _compass(m1: PreparedMap, m2: PreparedMap, theta: float) -> float:
     return float(np.log((1 - STEEL_RATE) * density + STEEL_RATE / (2 * np.pi)) + np.log(2 * np.pi))
 
 
-def _usual(m: PreparedMap, other: PreparedMap, matched: NDArray[np.intp], missed: NDArray[np.intp]) -> float:
-    """How far matches and misses fall behind (< 0) what the right placement shows on average [nats]."""
-    total = 0.0
-    for k, hit in [(k, True) for k in matched] + [(k, False) for k in missed]:
-        q = (1 - false_alarm(m, k)) * _detected(other, m.map.types[k])
-        q = min(max(q, 1e-6), 1 - 1e-6)
-        total += (np.log(q) if hit else np.log1p(-q)) - (q * np.log(q) + (1 - q) * np.log1p(-q))
-    return float(total)
+def _alias(hits: Array, misses: Array) -> float:
+    """log P(what was seen | an alias of the right place) - log P(... | the right place) [nats].
+
+    ``hits``, ``misses``: probability q that a landmark there is recorded, for those that were and those that weren't.
+    A repeating building has at the alias all the landmarks (half of the prior), or lacks a share of them (the other half,
+    `LACKING`). An excellent agreement therefore never counts for more than log 2 against an alias: only what is
+    missing tells.
+    """
+    if not len(hits) and not len(misses):
+        return 0.0
+    there = 1 - np.array(LACKING)
+    odds = len(hits) * np.log(there) + np.log1p(-misses[:, None] * there).sum(axis=0) - np.log1p(-misses).sum()
+    return float(np.logaddexp(0.0, logsumexp(odds) - np.log(len(there))) - np.log(2))
+
+
+def _recorded_rate(m: PreparedMap, k: int, other: PreparedMap) -> float:
+    """Probability that the other robot, passing, records a landmark that stands in this map."""
+    q = (1 - false_alarm(m, k)) * _detected(other, m.map.types[k])
+    return min(max(q, 1e-6), 1 - 1e-6)
 
 
 def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Weighed:
@@ -350,6 +380,8 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
         # a random stretch of corridor 1 lies on a random stretch of corridor 2, in one of two directions
         overlap = max(way.corridor_overlap, 1.0)
         prior += float(np.log(overlap / (2 * max(m1.corridor_length, 1.0) * max(m2.corridor_length, 1.0))))
+    elif len(joined.i):
+        prior += _point_prior(background)
     spatial = sum(m1.map.types[i] != DOOR for i in joined.i[corridor])
     void = sum(
         rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.rate.items()
@@ -370,11 +402,14 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
         arms=per_arm * contradict,
         compass=compass,
     )
-    usual = _usual(m1, m2, joined.i, way.missed1) + _usual(m2, m1, joined.j, way.missed2)
+    sides = [(m1, k, m2) for k in way.missed1] + [(m2, k, m1) for k in way.missed2]
+    misses_q = np.array([_recorded_rate(*side) for side in sides])
+    hits_q = np.array([_recorded_rate(m1, i, m2) for i in joined.i] + [_recorded_rate(m2, j, m1) for j in joined.j])
+    alias = _alias(hits_q, misses_q)
     return Weighed(
         growth,
         terms,
-        usual + per_arm * contradict + compass,
+        -alias + per_arm * contradict + compass,
         tuple(way.missed1.tolist()),
         tuple(way.missed2.tolist()),
     )

@@ -25,12 +25,17 @@ from .solve import Solution, solve
 Array = NDArray[np.float64]
 
 
+#: A hypothesis less probable than this gets no graph of its own.
+NEGLIGIBLE = 1e-4
+
+
 @dataclass(frozen=True, eq=False)
 class PairOutcome:
     """What is known of two maps: the verdict over all hypotheses, and the solved graphs of the best (by rank)."""
 
     m1: PreparedMap
     m2: PreparedMap
+    background: Background
     verdict: Verdict
     solutions: dict[int, Solution]
 
@@ -115,10 +120,13 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutco
     grown = grow_all(m1, m2, hypotheses, config.solving)
     weighed = _distinct([weigh(g, background, config.evidence) for g in grown])
     verdict = decide(weighed, config.evidence, config.decision)
-    solved = {id(w): _solved(w, background, config) for w in verdict.ranked[: config.solving.shortlist]}
+    solved: dict[int, tuple[Weighed, Solution]] = {}
+    for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):
+        # what one match places, or what cannot be the answer, keeps the elastic match's T12
+        if len(w.growth.i) > 1 and probability >= NEGLIGIBLE:
+            solved[id(w)] = _solved(w, background, config)
     again = [solved[id(w)][0] if id(w) in solved else w for w in verdict.ranked]
     verdict = decide(again, config.evidence, config.decision)
     solutions = {id(w): s for w, s in solved.values()}
-    return PairOutcome(
-        m1, m2, verdict, {k: solutions[id(w)] for k, w in enumerate(verdict.ranked) if id(w) in solutions}
-    )
+    by_rank = {k: solutions[id(w)] for k, w in enumerate(verdict.ranked) if id(w) in solutions}
+    return PairOutcome(m1, m2, background, verdict, by_rank)

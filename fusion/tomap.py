@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import signature
 from mapfuse.datasets.errors import MapfuseError
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
 
@@ -80,7 +79,7 @@ def _landmark(fused: FusedLandmark, ids: set[str], with_compass: bool, rows: int
         existence=fused.existence,
         extra=fused.extra,
     )
-    has_arms = signature(landmark).heading is not None
+    has_arms = any(link.heading is not None for link in landmark.links)
     return landmark if has_arms else replace(landmark, heading=fused.heading)
 
 

@@ -124,7 +124,8 @@ def one_to_one(group: Indices, index1: Indices, index2: Indices, cost: Array) ->
     nodes2, node2 = np.unique(key2[contested], return_inverse=True)
     size = len(nodes1) + len(nodes2)
     joined = coo_array((np.ones(len(contested), dtype=np.int8), (node1, len(nodes1) + node2)), shape=(size, size))
-    n_pieces, piece_of_node = connected_components(joined, directed=False)
+    n_pieces, components = connected_components(joined, directed=False)
+    piece_of_node = components.astype(np.intp)
     piece = piece_of_node[node1]
     width1 = np.bincount(piece_of_node[: len(nodes1)], minlength=n_pieces)
     width2 = np.bincount(piece_of_node[len(nodes1) :], minlength=n_pieces)
@@ -157,7 +158,7 @@ def _solve_squares(piece: Indices, node1: Indices, node2: Indices, cost: Array) 
     table = np.full((len(start), 2, 2), np.inf)
     table[which, row, column] = cost[order]
     crossed = table[:, 0, 1] + table[:, 1, 0] < table[:, 0, 0] + table[:, 1, 1]
-    return order[(row != column) == crossed[which]]
+    return np.asarray(order[(row != column) == crossed[which]])
 
 
 def _solve_pieces(piece: Indices, node1: Indices, node2: Indices, cost: Array) -> Indices:

@@ -6,15 +6,14 @@ landmarks coincide. Everything is vectorised over pairs; `mapfuse.datasets.arms`
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapfuse.datasets import se2
 from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, signature
 from mapfuse.datasets.maps import SPATIAL_TYPES, Landmark, LandmarkMap
-from mapfuse.datasets.se2 import wrap
 
 from .assignment import label_codes
 from .config import MatchingConfig
@@ -62,7 +61,7 @@ class ArmTable:
     @property
     def has_arms(self) -> Mask:
         """(n,): which landmarks have an arm of known direction."""
-        return ~np.isnan(self.headings).all(axis=1)
+        return np.asarray(np.isfinite(self.headings).any(axis=1))
 
 
 def compass_readings(landmark: Landmark) -> tuple[float | None, ...]:
@@ -84,8 +83,8 @@ def compass_readings(landmark: Landmark) -> tuple[float | None, ...]:
     readings: list[float | None] = []
     for heading, place in zip(arms.headings, arms.links, strict=True):
         own = landmark.links[place].compass
-        off, opposite = min((abs(float(wrap(h + np.pi - heading))), c) for h, c in read)
-        hypothesised = float(wrap(opposite + np.pi)) if off < ARM_TOLERANCE else None
+        off, opposite = min((abs(float(se2.wrap(h + np.pi - heading))), c) for h, c in read)
+        hypothesised = float(se2.wrap(opposite + np.pi)) if off < ARM_TOLERANCE else None
         readings.append(hypothesised if own is None else own)
     return tuple(readings)
 
@@ -164,7 +163,7 @@ def turns_of_pairs(table1: ArmTable, table2: ArmTable, index1: Indices, index2: 
     than don't. Turns without comparable readings agree.
     """
     both = table1.has_arms[index1] & table2.has_arms[index2]
-    by_heading = wrap(table1.heading[index1] - table2.heading[index2])
+    by_heading = se2.wrap(table1.heading[index1] - table2.heading[index2])
     plain = np.flatnonzero(~both & ~np.isnan(by_heading))
     parts = [(plain, by_heading[plain], np.ones(len(plain), dtype=bool))]
     with_arms = np.flatnonzero(both)
@@ -188,13 +187,15 @@ def _arm_turns(
     if np.isnan(difference).any():
         distance[np.isnan(distance)] = np.inf
     nearest = np.argmin(distance, axis=2)  # (pair, turn, arm 2): the arm 1 that it meets
-    pick: Callable[[Array], Array] = lambda values: np.take_along_axis(values, nearest[:, :, None], axis=2)[:, :, 0]
-    meets = pick(distance) < ARM_TOLERANCE
+    met_first = nearest[:, :, None]
+    meets = np.take_along_axis(distance, met_first, axis=2)[:, :, 0] < ARM_TOLERANCE
     row = np.arange(len(index1))[:, None, None]
     same = table1.passable[index1][row, nearest] == table2.passable[index2][:, None]
     coincide = np.sum(meets & same, axis=2)
     contradict = np.sum(meets & ~same, axis=2)
-    shift = np.sum(np.where(meets, pick(off), 0.0), axis=2) / np.maximum(meets.sum(axis=2), 1)
+    shift = np.sum(np.where(meets, np.take_along_axis(off, met_first, axis=2)[:, :, 0], 0.0), axis=2) / np.maximum(
+        meets.sum(axis=2), 1
+    )
     rotation = _wrapped(start + shift)
     found = _first_of_each(rotation, (coincide > 0) & (contradict == 0))
     found &= coincide == np.max(np.where(found, coincide, 0), axis=1, keepdims=True)
@@ -204,7 +205,7 @@ def _arm_turns(
     apart = np.abs(_wrapped(reading1 - table2.readings[index2[place]]))
     comparable = meets[place, turn] & ~np.isnan(apart)
     disagree = np.sum(comparable & (apart > gate_rad), axis=1)
-    return place, wrap(rotation[place, turn]), disagree <= comparable.sum(axis=1) - disagree
+    return place, se2.wrap(rotation[place, turn]), disagree <= comparable.sum(axis=1) - disagree
 
 
 def _first_of_each(rotation: Array, valid: Mask) -> Mask:
@@ -214,6 +215,16 @@ def _first_of_each(rotation: Array, valid: Mask) -> Mask:
         near = np.abs(_wrapped(rotation[:, turn, None] - rotation[:, :turn])) < ARM_TOLERANCE
         found[:, turn] &= ~np.any(near & found[:, :turn], axis=1)
     return found
+
+
+def through(p1: Array, p2: Array, rotation: Array) -> Array:
+    """T12s (k, 3) of given rotations (k,) [rad] that take the points p2 (k, 2) onto p1 (k, 2).
+
+    >>> through(np.array([[1.0, 1.0]]), np.array([[2.0, 0.0]]), np.array([np.pi / 2])).round(3).tolist()
+    [[1.0, -1.0, 1.571]]
+    """
+    turned = se2.transform(np.stack([np.zeros_like(rotation), np.zeros_like(rotation), rotation], axis=1), p2)
+    return np.concatenate([p1 - turned, rotation[:, None]], axis=1)
 
 
 def _wrapped(angle: Array) -> Array:

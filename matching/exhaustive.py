@@ -23,14 +23,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets import se2
 from mapfuse.datasets.errors import TooLargeError
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
 from mapfuse.datasets.values import frozen_array
 
 from .assignment import PointGrid, label_codes, one_to_one
-from .candidates import CandidateCounts, arm_table, count_selected, select_pairs, turns_of_pairs
+from .candidates import CandidateCounts, arm_table, count_selected, select_pairs, through, turns_of_pairs
 from .config import MatchingConfig
 from .hypothesis import Hypothesis
 
@@ -84,9 +83,7 @@ class ExhaustiveResult:
         )
 
 
-def match_exhaustively(
-    map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig | None = None
-) -> ExhaustiveResult:
+def match_exhaustively(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig | None = None) -> ExhaustiveResult:
     """Ranked T12s of all candidate pairs by the paper's algorithm, see the module's text.
 
     Raises `TooLargeError` where the selected pairs times the landmarks of map 2 exceed `MAX_EVALUATIONS`.
@@ -113,7 +110,7 @@ def match_exhaustively(
     dropped = np.setdiff1d(turns.pair[~keep], turns.pair[keep])
     pair, rotation = turns.pair[keep], turns.rotation[keep]
 
-    T12s = _through(map1.positions[index1[pair]], map2.positions[index2[pair]], rotation)
+    T12s = through(map1.positions[index1[pair]], map2.positions[index2[pair]], rotation)
     match_counts, rms = _count_matches(map1, map2, T12s, config)
     # Rounded, so that equal candidates keep the pairs' order whatever the last bits say.
     order = np.lexsort((*np.round(T12s.T, 6), np.round(rms, 6), -match_counts))
@@ -122,12 +119,6 @@ def match_exhaustively(
     return ExhaustiveResult(
         map1, map2, config, frozen_array(T12s[order]), match_counts[order], rms[order], seeds[order], counts
     )
-
-
-def _through(p1: Array, p2: Array, rotation: Array) -> Array:
-    """T12s (k, 3) with given rotations (k,) that take points p2 (k, 2) onto p1 (k, 2)."""
-    turned = se2.transform(np.stack([np.zeros_like(rotation), np.zeros_like(rotation), rotation], axis=1), p2)
-    return np.concatenate([p1 - turned, rotation[:, None]], axis=1)
 
 
 def _overlaps(
@@ -152,9 +143,7 @@ def _overlaps(
         yield candidate[chosen] + begin, i[chosen], j[chosen], squared[chosen]
 
 
-def _count_matches(
-    map1: LandmarkMap, map2: LandmarkMap, T12s: Array, config: MatchingConfig
-) -> tuple[Indices, Array]:
+def _count_matches(map1: LandmarkMap, map2: LandmarkMap, T12s: Array, config: MatchingConfig) -> tuple[Indices, Array]:
     count, total = np.zeros(len(T12s), dtype=np.intp), np.zeros(len(T12s))
     for candidate, _, _, squared in _overlaps(map1, map2, T12s, config):
         count += np.bincount(candidate, minlength=len(T12s))

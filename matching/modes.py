@@ -30,7 +30,7 @@ def displacement(T: ArrayLike, T_other: ArrayLike, points2: ArrayLike) -> Array:
     spread = np.mean(np.sum((points - mean) ** 2, axis=1))
     moved = np.sum((se2.transform(T, mean) - se2.transform(T_other, mean)) ** 2, axis=-1)
     turned = 4 * spread * np.sin((T[..., 2] - T_other[..., 2]) / 2) ** 2
-    return np.sqrt(moved + turned)
+    return np.asarray(np.sqrt(moved + turned))
 
 
 def distinct(T12s: ArrayLike, points2: ArrayLike, tolerance_m: float, limit: int) -> Indices:
@@ -66,12 +66,10 @@ def distinct_modes(
     owner[kept] = np.arange(len(kept))
     return [
         Hypothesis(h.T12, h.count, h.correspondences, _joined_seeds(hypotheses, owner == k), h.score)
-        for k, h in enumerate(hypotheses[place] for place in kept)
+        for k, h in enumerate(hypotheses[place] for place in kept.tolist())
     ]
 
 
-def _joined_seeds(
-    hypotheses: Sequence[Hypothesis], mine: NDArray[np.bool_]
-) -> tuple[tuple[str, str], ...]:
-    seeds = (seed for place in np.flatnonzero(mine) for seed in hypotheses[place].seed)
+def _joined_seeds(hypotheses: Sequence[Hypothesis], mine: NDArray[np.bool_]) -> tuple[tuple[str, str], ...]:
+    seeds = (seed for place in np.flatnonzero(mine).tolist() for seed in hypotheses[place].seed)
     return tuple(dict.fromkeys(seeds))

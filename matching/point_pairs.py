@@ -23,6 +23,7 @@ from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from .assignment import PointGrid, label_codes, one_to_one
+from .candidates import through
 from .config import MatchingConfig
 from .hypothesis import Hypothesis
 from .modes import distinct
@@ -39,6 +40,10 @@ _NOISE_PRIOR = 3.0
 # Rotation [rad] by which a peak may be off before it is refined.
 _COARSE_ROTATION = 0.06
 _MOST_GROWTH = 4.0
+# Probability that a place was looked at which is as near to a landmark as other landmarks are.
+_COVERAGE = 0.5
+_ASKED_NEIGHBOURS = 12
+_FEWEST_ANCHORS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,20 +51,22 @@ class PointPairConfig:
     """How landmarks without heading propose.
 
     ``distance_sigmas``: two distances are equal when they differ by at most that many standard deviations.
-    ``neighbours``: each landmark is paired with at most so many others, the nearest. ``votes``: cast at most, those
-    of the shortest pairs first. ``seeds``: peaks that are refined around their anchor; ``refined``: distinct ones of
-    them that are refined everywhere. ``gate_sigmas``: landmarks match within that many standard deviations.
+    ``near``, ``far``: each landmark is paired with its so many nearest ones; both are tried. ``votes``: cast at most,
+    those of the shortest pairs first. ``seeds``: peaks of each that are refined around their anchor; ``refined``:
+    distinct ones of them that are refined everywhere. ``gate_sigmas``: landmarks match within that many standard
+    deviations.
     """
 
     distance_sigmas: float = 2.0
-    neighbours: int = 60
-    votes: int = 400_000
-    seeds: int = 256
+    near: int = 10
+    far: int = 60
+    votes: int = 1_000_000
+    seeds: int = 160
     refined: int = 96
     gate_sigmas: float = 3.0
 
     def __post_init__(self) -> None:
-        for name in ("distance_sigmas", "neighbours", "votes", "seeds", "refined", "gate_sigmas"):
+        for name in ("distance_sigmas", "near", "far", "votes", "seeds", "refined", "gate_sigmas"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"matching.point_pairs.{name} is {getattr(self, name)!r}; it must be greater than 0")
 
@@ -115,10 +122,14 @@ def match_point_pairs(
         label1, label2 = np.zeros_like(label1), np.zeros_like(label2)
     one, two = _points(map1, label1), _points(map2, label2)
     drift = float(np.hypot(map1.noise.distance_sigma_per_metre, map2.noise.distance_sigma_per_metre))
-    seeds = _peaks(one, two, drift, settings)
-    if not len(seeds[0]):
+    # Near neighbours find maps that overlap in a corner, far ones find maps that have few landmarks in common.
+    scales = sorted({min(k, max(len(map1), len(map2)) - 1) for k in (settings.near, settings.far)})
+    peaks = [_peaks(one, two, drift, neighbours, settings) for neighbours in scales]
+    T12s, anchors = (np.concatenate(found) for found in zip(*peaks, strict=True))
+    if not len(T12s):
         return []
-    return _ranked(map1, map2, one, two, seeds, drift, config, settings)
+    return _ranked(map1, map2, one, two, (T12s, anchors), drift, config, settings)
+
 
 def _points(landmarks: LandmarkMap, label: Indices) -> _Points:
     xy, noise = landmarks.positions, landmarks.noise
@@ -133,7 +144,7 @@ def _points(landmarks: LandmarkMap, label: Indices) -> _Points:
             variance[k] = np.trace(landmark.covariance[:2, :2]) / 2
     # The largest decide how far everything is searched, so that one that is hardly known must not blow it up.
     variance = np.clip(variance, _LEAST_SIGMA**2, max(_MOST_GROWTH * float(np.median(variance)), _LEAST_SIGMA**2))
-    nearest, _ = KDTree(xy).query(xy, k=min(_DENSITY_NEIGHBOURS + 1, len(xy)))
+    nearest = np.asarray(KDTree(xy).query(xy, k=min(_DENSITY_NEIGHBOURS + 1, len(xy)))[0])
     # Landmarks at one spot would have infinite density; closer than their noise they can't be told apart anyway.
     furthest = np.maximum(nearest[:, -1], 2 * np.sqrt(variance))
     share = np.bincount(label)[label] / len(xy)
@@ -169,43 +180,61 @@ def _neighbour_pairs(points: _Points, neighbours: int, n_labels: int, shortest: 
     return pairs.taken(np.flatnonzero((length >= shortest) & (start != end)))
 
 
-def _equal_pairs(one: _Pairs, two: _Pairs, tolerance: Array, budget: int) -> tuple[Indices, Indices]:
-    """Places (pair of 1, pair of 2) of all that have equal labels and lengths, the shortest first up to ``budget``.
+def _equal_pairs(
+    one: _Pairs, two: _Pairs, tolerance: Array, anchors_of: Callable[[Indices], Indices], budget: int
+) -> tuple[Indices, Indices, Indices]:
+    """All that have equal labels and lengths: places (pair of 1, pair of 2), and the anchors they start from in map 2.
 
-    ``tolerance`` [m] is per pair of 2. A sorted join: memory grows with what is returned.
+    ``tolerance`` [m] is per pair of 2; ``anchors_of`` says, from how many equals each pair of 2 has, which landmarks
+    of map 2 are asked; of those the shortest pairs count, up to ``budget``. A sorted join: memory grows with what is
+    returned.
     """
     apart = 4 * (one.length.max() + two.length.max() + tolerance.max())
     key1, key2 = one.labels * apart + one.length, two.labels * apart + two.length
     order = np.argsort(key1, kind="stable")
     low = np.searchsorted(key1[order], key2 - tolerance, side="left")
     n = np.searchsorted(key1[order], key2 + tolerance, side="right") - low
+    anchors = anchors_of(n)
     shortest_first = np.argsort(two.length, kind="stable")
-    total = np.cumsum(n[shortest_first])
-    # Ends of a direction and its reverse are of equal length: the cut falls between lengths.
-    within = max(1, int(np.searchsorted(total, budget, side="right")))
+    shortest_first = shortest_first[np.isin(two.start[shortest_first], anchors)]
+    within = max(1, int(np.searchsorted(np.cumsum(n[shortest_first]), budget, side="right")))
     take = shortest_first[:within]
     n, low = n[take], low[take]
     place = np.repeat(low - (np.cumsum(n) - n), n) + np.arange(n.sum())
-    return order[place], np.repeat(take, n)
+    return order[place], np.repeat(take, n), anchors
 
 
-def _peaks(one: _Points, two: _Points, drift: float, settings: PointPairConfig) -> tuple[Array, Indices]:
+def _anchors(one: _Points, two: _Points, pairs2: _Pairs, equals: Indices, budget: int) -> Indices:
+    """Landmarks of map 2 from which votes are cast: all, or so many that each can cast enough.
+
+    A few that ask a dozen neighbours find more than many that can ask but two.
+    """
+    n = len(two.xy)
+    first = np.searchsorted(pairs2.start, np.arange(n))
+    nearest = np.arange(len(pairs2.start)) - first[pairs2.start] < _ASKED_NEIGHBOURS
+    each = max(1.0, float(equals[nearest].sum()) / n)
+    n_anchors = max(1, min(max(_FEWEST_ANCHORS, int(budget / each)), _ACCUMULATOR_CELLS // (_BINS * len(one.xy))))
+    if n_anchors >= n:
+        return np.arange(n)
+    # Evenly by density: a choice in which neither the order of the landmarks nor the frame has a say.
+    spread = np.linspace(0, n - 1, n_anchors).astype(np.intp)
+    return np.sort(np.argsort(two.density, kind="stable")[spread])
+
+
+def _peaks(
+    one: _Points, two: _Points, drift: float, neighbours: int, settings: PointPairConfig
+) -> tuple[Array, Indices]:
     """The T12s (s, 3) with most votes, strongest first, and the (s, 2) landmarks that each is anchored at."""
     sigma = np.sqrt(2) * _sigma(one, two)  # of the difference of two distances
     n_labels = 1 + int(max(one.label.max(), two.label.max()))
     shortest = settings.distance_sigmas * sigma
-    pairs1, pairs2 = (_neighbour_pairs(p, settings.neighbours, n_labels, shortest) for p in (one, two))
-    n_anchors = max(1, _ACCUMULATOR_CELLS // (_BINS * len(one.xy)))
-    anchors = np.arange(len(two.xy))
-    if n_anchors < len(anchors):
-        # Evenly by density: a choice that neither the order of the landmarks nor the frame has a say in.
-        spread = np.linspace(0, len(anchors) - 1, n_anchors).astype(np.intp)
-        anchors = np.sort(np.argsort(two.density, kind="stable")[spread])
-        pairs2 = pairs2.taken(np.flatnonzero(np.isin(pairs2.start, anchors)))
+    pairs1, pairs2 = (_neighbour_pairs(p, neighbours, n_labels, shortest) for p in (one, two))
     if not len(pairs1.start) or not len(pairs2.start):
         return np.zeros((0, 3)), np.zeros((0, 2), dtype=np.intp)
     tolerance = settings.distance_sigmas * np.hypot(sigma, drift * pairs2.length)
-    k1, k2 = _equal_pairs(pairs1, pairs2, tolerance, settings.votes)
+    k1, k2, anchors = _equal_pairs(
+        pairs1, pairs2, tolerance, lambda n: _anchors(one, two, pairs2, n, settings.votes), settings.votes
+    )
 
     turn = (pairs1.direction[k1] - pairs2.direction[k2]) / (2 * np.pi) * _BINS
     slot = np.zeros(len(two.xy), dtype=np.intp)
@@ -214,22 +243,16 @@ def _peaks(one: _Points, two: _Points, drift: float, settings: PointPairConfig) 
     cell = row * _BINS + np.floor(turn).astype(np.intp) % _BINS
     votes = np.bincount(cell, minlength=len(one.xy) * len(anchors) * _BINS).reshape(-1, _BINS).astype(np.float32)
     before, after = np.roll(votes, 1, axis=1), np.roll(votes, -1, axis=1)
-    together = before + votes + after
+    together = votes + (before + after) / 2
     peak = (together >= np.roll(together, 1, axis=1)) & (together > np.roll(together, -1, axis=1))
-    surplus = together - votes.sum(axis=1, keepdims=True) * np.float32(3 / _BINS)
-    row, bin_ = np.nonzero(peak & (votes > 0))
+    surplus = together - votes.sum(axis=1, keepdims=True) * np.float32(2 / _BINS)
+    row, bin_ = np.nonzero(peak)
     strongest = np.argsort(-surplus[row, bin_], kind="stable")[: settings.seeds]
     row, bin_ = row[strongest], bin_[strongest]
-    shift = (after[row, bin_] - before[row, bin_]) / together[row, bin_]
+    shift = (after[row, bin_] - before[row, bin_]) / 2 / together[row, bin_]
     rotation = se2.wrap((bin_ + 0.5 + shift) * (2 * np.pi / _BINS))
     i, j = row // len(anchors), anchors[row % len(anchors)]
     return through(one.xy[i], two.xy[j], rotation), np.stack([i, j], axis=1)
-
-
-def through(p1: Array, p2: Array, rotation: Array) -> Array:
-    """T12s (k, 3) with given rotations (k,) [rad] that take points p2 (k, 2) onto p1 (k, 2)."""
-    turned = se2.transform(np.stack([np.zeros_like(rotation), np.zeros_like(rotation), rotation], axis=1), p2)
-    return np.concatenate([p1 - turned, rotation[:, None]], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +289,7 @@ def _match(
 
 
 def _aligned(one: _Points, two: _Points, T12s: Array, m: _Matched) -> tuple[Array, Array]:
-    """Weighted closed-form alignment (`se2.align`) of all modes at once: T12s and the matched centres (s, 2) in frame 2.
+    """Weighted closed-form alignment (`se2.align`) of all modes at once: T12s (s, 3), centres (s, 2) in frame 2.
 
     Modes with less than two distinct matches stay as they are.
     """
@@ -274,11 +297,10 @@ def _aligned(one: _Points, two: _Points, T12s: Array, m: _Matched) -> tuple[Arra
     weight = 1 / m.variance
     total = np.bincount(m.mode, weight, n)
     safe = np.where(total > 0, total, 1.0)
-    mean: Callable[[Array], Array] = lambda p: np.stack(
-        [np.bincount(m.mode, weight * p[:, axis], n) / safe for axis in (0, 1)], axis=1
-    )
     p1, p2 = one.xy[m.i], two.xy[m.j]
-    centre1, centre2 = mean(p1), mean(p2)
+    centre1, centre2 = (
+        np.stack([np.bincount(m.mode, weight * axis, n) / safe for axis in points.T], axis=1) for points in (p1, p2)
+    )
     q1, q2 = p1 - centre1[m.mode], p2 - centre2[m.mode]
     cross = np.bincount(m.mode, weight * (q2[:, 0] * q1[:, 1] - q2[:, 1] * q1[:, 0]), n)
     dot = np.bincount(m.mode, weight * np.sum(q1 * q2, axis=1), n)
@@ -327,9 +349,10 @@ def _scores(one: _Points, two: _Points, T12s: Array, m: _Matched) -> Array:
     """Log likelihood ratio [nats] (s,) of each mode against "the maps show different places", but for a constant.
 
     Every match: density of its residual against that of landmarks of its label, times the rate at which both robots
-    record a place. Every landmark where the other robot looked: the void that both agree on if there is none, the
-    failure to record it otherwise. The noise may be smaller than stated: one factor f <= 1 on the variance, at the
-    maximum of its posterior under an inverse gamma prior of weight `_NOISE_PRIOR` matches around f = 1.
+    record a place. Every landmark where the other robot is likely to have looked: the failure to record it, if it
+    has no match, and for its share of the area the void on which both robots agree. The noise may be smaller than
+    stated: one factor f <= 1 on the variance, at the maximum of its posterior under an inverse gamma prior of weight
+    `_NOISE_PRIOR` matches around f = 1.
     """
     gain = _gains(one, two, len(T12s), m)
     tree1, tree2 = KDTree(one.xy), KDTree(two.xy)
@@ -341,7 +364,7 @@ def _scores(one: _Points, two: _Points, T12s: Array, m: _Matched) -> Array:
         looked_at = distance <= there.reach[nearest]
         matched = np.zeros_like(looked_at)
         matched[m.mode, mine] = True
-        rate = np.median(there.recorded)
+        rate = _COVERAGE * np.median(there.recorded)
         gain += np.sum(looked_at, axis=1) * rate / 2 + np.sum(looked_at & ~matched, axis=1) * np.log(1 - rate)
     return gain
 

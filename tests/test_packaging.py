@@ -134,6 +134,14 @@ def test_public_names() -> None:
         fusion.fuze  # noqa: B018
 
 
+def test_no_lazily_loaded_name_is_a_module_s_name() -> None:
+    # importing the module would put it in the place of what the name stands for
+    from mapfuse import fusion
+
+    modules = {file.stem for file in (ROOT / "fusion").glob("*.py")}
+    assert modules.isdisjoint(fusion.__all__)
+
+
 def test_constraints_pin_every_dependency() -> None:
     pins = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and line[0] != "#"]
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+", pin) for pin in pins), "name==version and nothing else"

@@ -10,20 +10,22 @@ writes them beside this file, or into the folder given to `main`. Seeds were tak
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from .. import mapfile
-from ..maps import LandmarkMap
+from ..maps import LandmarkMap, Link
+from ..se2 import wrap
 from ..simulation import (
-    ELSEWHERE,
     MILKA,
     VESPUCCI,
     Floor,
     Recording,
     Robot,
     Route,
+    elsewhere,
     explore,
     irregular_floor,
     record,
@@ -31,10 +33,10 @@ from ..simulation import (
 )
 from ..simulation.outline import with_outline
 from ..truth import Truth, write_truth
-from ..values import frozen_array
 from . import SCENES
 
 FIRST_SEED = 2000
+DIGITS = 6
 #: Landmarks that both maps of the ground floor hold at least, and the share of the corridors that each robot saw.
 MIN_COMMON, WHOLE, UNFINISHED = 9, 0.95, 0.5
 NOTE = (
@@ -51,7 +53,8 @@ def main(folder: str | Path | None = None) -> tuple[Path, ...]:
     for scene, takes in (("ground-floor", _ground_floor()), ("two-buildings", _two_buildings())):
         truth_name = f"{scene}.truth.json"
         for recording, floor, route in takes:
-            recorded = _labelled(with_outline(recording, floor, route), truth_name)
+            recorded = _rounded(with_outline(recording, floor, route))
+            recorded = recorded.replace(extra={**recorded.extra, "note": NOTE.format(truth=truth_name)})
             written.append(target / f"{recorded.name}.map.json")
             mapfile.write_map(recorded, written[-1])
         written.append(target / truth_name)
@@ -59,12 +62,31 @@ def main(folder: str | Path | None = None) -> tuple[Path, ...]:
     return tuple(written)
 
 
-def _labelled(recorded: LandmarkMap, truth_name: str) -> LandmarkMap:
-    return recorded.replace(extra={**recorded.extra, "note": NOTE.format(truth=truth_name)})
+def _rounded(recorded: LandmarkMap) -> LandmarkMap:
+    """Numbers to the micrometre and microradian, so that the last bits of a machine's algebra aren't in the file."""
+    return recorded.replace(
+        landmarks=tuple(
+            replace(l, x=round(l.x, DIGITS), y=round(l.y, DIGITS), links=tuple(map(_rounded_link, l.links)))
+            for l in recorded.landmarks
+        ),
+        walls=tuple(wall.round(DIGITS) for wall in recorded.walls),
+        path=None if recorded.path is None else recorded.path.round(DIGITS),
+    )
+
+
+def _rounded_link(link: Link) -> Link:
+    distance = None if link.distance is None else round(link.distance, DIGITS)
+    return replace(link, heading=_rounded_angle(link.heading), compass=_rounded_angle(link.compass), distance=distance)
+
+
+def _rounded_angle(angle: float | None) -> float | None:
+    return None if angle is None else float(wrap(round(angle, DIGITS)))
 
 
 def _marked(truth: Truth) -> Truth:
-    return Truth(truth.frames, truth.landmarks, truth.places, {"simulated": True})
+    frames = {name: frame.round(DIGITS) for name, frame in truth.frames.items()}
+    places = {identifier: xy.round(DIGITS) for identifier, xy in truth.places.items()}
+    return Truth(frames, truth.landmarks, places, {"simulated": True})
 
 
 def _take(floor: Floor, robot: Robot, share: float, rng: np.random.Generator, name: str) -> _Take:
@@ -89,6 +111,6 @@ def _two_buildings() -> tuple[_Take, _Take]:
     """Two floors of one style that have nothing in common."""
     vespucci, milka = SCENES["two-buildings"]
     rng = np.random.default_rng(FIRST_SEED)
-    north = irregular_floor(rng, "north-building").moved(frozen_array(np.zeros(3)), prefix="north-")
-    south = irregular_floor(rng, "south-building").moved(frozen_array(ELSEWHERE), prefix="south-")
+    north = irregular_floor(rng, "north-building").moved(np.zeros(3), prefix="north-")
+    south = elsewhere(irregular_floor(rng, "south-building"), north, prefix="south-")
     return _take(north, VESPUCCI, WHOLE, rng, vespucci), _take(south, MILKA, WHOLE, rng, milka)

@@ -3,7 +3,7 @@
 from .explore import Route, SimulationError, explore, start_places
 from .floors import Arm, Corridor, DoorAt, Floor, Place, floor_from_graph
 from .generate import FloorKind, alike_floor, irregular_floor, make_floor, oblique_floor, symmetric_floor
-from .pairs import ELSEWHERE, TEST_SEEDS, TUNING_SEEDS, simulated_pair, truth_of
+from .pairs import ELSEWHERE, TEST_SEEDS, TUNING_SEEDS, elsewhere, simulated_pair, truth_of
 from .record import Recording, record
 from .robots import MILKA, VESPUCCI, Robot
 
@@ -24,6 +24,7 @@ __all__ = [
     "Route",
     "SimulationError",
     "alike_floor",
+    "elsewhere",
     "explore",
     "floor_from_graph",
     "irregular_floor",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,4 +72,12 @@ def truth_of(recordings: Sequence[Recording], floors: Sequence[Floor]) -> Truth:
 
 def _floors(kind: FloorKind, same: bool, rng: np.random.Generator) -> tuple[Floor, Floor]:
     first = make_floor(kind, rng)
-    return (first, first) if same else (first, make_floor(kind, rng).moved(ELSEWHERE, prefix="other-"))
+    return (first, first) if same else (first, elsewhere(make_floor(kind, rng), first, prefix="other-"))
+
+
+def elsewhere(floor: Floor, beside: Floor, prefix: str) -> Floor:
+    """A floor set `ELSEWHERE` in the world of another one: parallel to it, one north, ids prefixed.
+
+    Parallel, because buildings often are, and then a compass can't tell their corridors apart.
+    """
+    return replace(floor, north=beside.north).moved(ELSEWHERE, prefix)

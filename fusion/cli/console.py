@@ -63,6 +63,13 @@ def note(text: str) -> None:
     print(_without_controls(text), file=sys.stderr)
 
 
+def warn_on_stderr() -> None:
+    """Show what the library warns of (a landmark whose type contradicts its arms) as remarks of ours."""
+    import logging
+
+    logging.basicConfig(format="mapfuse: warning: %(message)s", level=logging.WARNING)
+
+
 def check_outputs(path_from_option: Mapping[str, Path | None], inputs: Sequence[Path] = ()) -> None:
     """Raise `UsageError` where an output can't be written, is an input, or two outputs are one file."""
     option_from_target: dict[Path, str] = {}

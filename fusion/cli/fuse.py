@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import UsageError, check_outputs, check_picture, note, say, say_bytes, writing
+from .console import UsageError, check_outputs, check_picture, note, say, say_bytes, warn_on_stderr, writing
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
@@ -60,6 +60,7 @@ def fuse_files(
         raise UsageError("give at least two maps to fuse")
     check_picture("--plot", plot)
     check_outputs({"-o": output, "--plot": plot, "--map": merged_map}, [*maps, *([config] if config else [])])
+    warn_on_stderr()
     settings = _settings(config, accept, overlap_prior, mode)
     recorded = read_maps(maps)
 
@@ -119,10 +120,9 @@ def _write(
     from mapfuse.datasets import write_map
     from mapfuse.fusion import write_fused
 
-    kept = fused if embed else replace(fused, sources={})
     one_frame = fused.decision == "merged"
     if output is not None:
-        write_fused(kept, output)
+        write_fused(fused, output, embed)
     if plot is not None:
         from mapfuse.fusion.show import draw_fused
 
@@ -131,7 +131,10 @@ def _write(
     if merged_map is not None and one_frame:
         write_map(fused.to_map(), merged_map)
     if as_json:
-        say_bytes(output.read_bytes() if output is not None else _encoded(kept))
+        from mapfuse.datasets.jsondata import encode
+        from mapfuse.fusion.fusedfile import fused_to_dict
+
+        say_bytes(encode(fused_to_dict(fused, embed)))
     else:
         from .summary import summarise
 
@@ -141,14 +144,3 @@ def _write(
                 say(f"wrote {path}")
     if merged_map is not None and not one_frame:
         note(f"{merged_map} was not written: the maps were not merged")
-
-
-def _encoded(fused: FusedMap) -> bytes:
-    import tempfile
-
-    from mapfuse.fusion import write_fused
-
-    with tempfile.TemporaryDirectory(prefix="mapfuse-") as folder:
-        path = Path(folder) / "result.fused.json"
-        write_fused(fused, path)
-        return path.read_bytes()

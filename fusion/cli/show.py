@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .console import check_outputs, check_picture, say, writing
+from .console import check_outputs, check_picture, say, warn_on_stderr, writing
 
 
 def show(
@@ -22,6 +22,7 @@ def show(
     check_picture("-o", picture)
     check_outputs({"-o": picture}, [file])
 
+    warn_on_stderr()
     if _format_of(file).startswith("mapfuse.fused/"):
         from mapfuse.fusion import read_fused
         from mapfuse.fusion.show import draw_fused

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,23 +11,25 @@ import numpy as np
 from mapfuse.datasets.transform import Transform
 from mapfuse.fusion.result import FusedMap, PairResult
 
-#: Rivals beyond these are counted, not listed.
-_LISTED = 8
-
-_WORDS = {
-    "merged": "merged",
-    "partial": "partly merged",
-    "ambiguous": "ambiguous: nothing was merged",
-    "no_overlap": "no overlap: nothing was merged",
-}
+#: Rivals beyond these, or less probable than this, are counted, not listed.
+_LISTED, _WORTH_LISTING = 8, 1e-4
+_WIDTH = 100
 
 
 def summarise(fused: FusedMap) -> str:
     """The whole answer as text of some ten lines."""
-    blocks = [f"{_WORDS[fused.decision]}, probability {percent(fused.probability)}"]
-    blocks += [_pair(pair, named=len(fused.pairs) > 1) for pair in fused.pairs]
-    blocks.append(_counts(fused))
-    return "\n".join(blocks)
+    several = len(fused.pairs) != 1
+    head = f"{fused.decision.replace('_', ' ')}, {percent(fused.probability)}" if several else _headline(fused.pairs[0])
+    return "\n".join([head, *(_pair(pair, named=several) for pair in fused.pairs), _counts(fused)])
+
+
+def _headline(pair: PairResult) -> str:
+    if pair.decision == "merged":
+        return f"merged: {percent(pair.probability)} that this is right"
+    if pair.decision == "no_overlap":
+        return f"no overlap: {percent(pair.no_overlap_probability)}, nothing was merged"
+    best = f"the likeliest of {len(pair.hypotheses)} placements has {percent(pair.probability)}"
+    return f"ambiguous: {best}, nothing was merged"
 
 
 def percent(probability: float) -> str:
@@ -44,7 +47,7 @@ def percent(probability: float) -> str:
 
 def _pair(pair: PairResult, *, named: bool) -> str:
     first, second = pair.maps
-    lines = [f"\n{first} and {second}: {_WORDS[pair.decision]}"] if named else []
+    lines = [f"{first} and {second}, {_headline(pair)}"] if named else []
     T12 = pair.T12
     if T12 is not None and pair.decision == "merged":
         lines += [f"  T12, which takes coordinates of {second} into {first}:", *_transform(T12)]
@@ -56,7 +59,7 @@ def _pair(pair: PairResult, *, named: bool) -> str:
     elif pair.hypotheses:
         lines += _rivals(pair)
     lines.append(f"  no overlap: {percent(pair.no_overlap_probability)}")
-    lines.append(f"  reason: {pair.reason}")
+    lines += textwrap.wrap(f"reason: {pair.reason}", _WIDTH, initial_indent="  ", subsequent_indent="    ")
     if pair.overruled_by is not None:
         lines.append(f"  overruled by the cycle {', '.join(pair.overruled_by)}")
     return "\n".join(lines)
@@ -74,9 +77,10 @@ def _transform(T: Transform) -> list[str]:
 
 
 def _rivals(pair: PairResult) -> list[str]:
+    listed = [k for k, h in enumerate(pair.hypotheses[:_LISTED]) if k == 0 or h.probability >= _WORTH_LISTING]
     rows = [
         (
-            f"{k}",
+            f"{k + 1}",
             percent(h.probability),
             f"{h.T12.x:.2f}",
             f"{h.T12.y:.2f}",
@@ -84,12 +88,12 @@ def _rivals(pair: PairResult) -> list[str]:
             f"{h.count}",
             f"{h.log_evidence:.1f}",
         )
-        for k, h in enumerate(pair.hypotheses[:_LISTED], start=1)
+        for k, h in ((k, pair.hypotheses[k]) for k in listed)
     ]
     head = ("", "probability", "x [m]", "y [m]", "theta [deg]", "matches", "log evidence")
     lines = [f"  possible T12 ({pair.maps[1]} into {pair.maps[0]}):", *table((head, *rows), indent="    ")]
-    if len(pair.hypotheses) > _LISTED:
-        rest = pair.hypotheses[_LISTED:]
+    rest = [h for k, h in enumerate(pair.hypotheses) if k not in listed]
+    if rest:
         lines.append(f"    and {len(rest)} more, together {percent(sum(h.probability for h in rest))}")
     return lines
 
@@ -105,10 +109,6 @@ def table(rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
 
 
 def _counts(fused: FusedMap) -> str:
-    common = sum(len(landmark.sources) > 1 for landmark in fused.landmarks)
     doubtful = sum(landmark.existence < 0.5 for landmark in fused.landmarks)
-    groups = "" if len(fused.groups) == 1 else f" in {len(fused.groups)} separate frames"
-    return (
-        f"  {len(fused.maps)} maps give {len(fused.landmarks)} landmarks{groups}: "
-        f"{common} seen in several maps, {doubtful} doubtful (existence below 50 %)"
-    )
+    where = "the merged map" if len(fused.groups) == 1 else f"{len(fused.groups)} separate frames"
+    return f"  {len(fused.landmarks)} landmarks in {where}, {doubtful} of them doubtful (existence below 50 %)"

@@ -56,7 +56,7 @@ def test_one_pose_sees_a_landmark_with_the_sighting_s_own_covariance():
 
 
 def test_a_landmark_seen_after_one_motion_has_the_covariance_of_both():
-    # l = R(theta) s + t with t, theta, s independent: var x = 0.1^2 + 0.05^2 (y of s is 0), var y = 0.2^2 + (4 * 0.03)^2 + 0.05^2
+    # l = t + R(theta) s, all independent, s = (4, 0): the heading adds (4 * 0.03)^2 to y and nothing to x
     drive = Drive(
         np.array([[1.0, 0.0, 0.0]]),
         np.array([[0.1, 0.2, 0.03]]),

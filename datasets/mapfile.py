@@ -1,0 +1,368 @@
+"""``mapfuse.map/1``: recorded maps read from files, strictly, and written.
+
+A file that breaks a rule is refused with all its problems at once, each with its place; nothing is repaired. The rules
+of single fields are in `mapfields`; here is what holds between them. Where the format leaves it open:
+
+- null in an optional field is the same as leaving it out (but for ``compass_offset_sigma``);
+- a sigma of 0 and a rate of 0 or 1 are allowed: a claim of perfection is the robot's to make;
+- an angle may lie outside of (-pi, pi] by 1e-3 rad (a pi rounded to three digits), and is kept as it is;
+- a ``heading`` beside arms agrees when it is within 1e-3 rad of one arm or of what the arms say together;
+- keys that the format doesn't know are kept in ``extra``, at most 64 levels deep, and written back.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING, fields
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .arms import contradiction, heading_of, wrap
+from .errors import FileFormatError, MapError, Problem
+from .files import read_whole, write_whole
+from .jsondata import MAX_PROBLEMS, Place, decode, encode, json_faults, render, said
+from .mapfields import FORMAT, JOINT_COVARIANCE, LANDMARK, LINK, MAP, MAX_LINKS, NOISE, NULL_MEANS, Field
+from .maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
+from .rules import Faults, RuleError, covariance_fault
+
+_LOG = logging.getLogger(__name__)
+
+#: A landmark's heading beside its arms agrees with them within this [rad].
+HEADING_AGREEMENT = 1e-3
+#: Landmarks whose type contradicts their arms are named in the log up to this number.
+_NAMED = 20
+
+_Checks = Mapping[str, Callable[[Any], Any]]
+
+
+def _checks(table: Mapping[str, Field]) -> _Checks:
+    return {name: field.rule.check for name, field in table.items()}
+
+
+_LINK, _LANDMARK, _NOISE, _JOINT, _MAP = map(_checks, (LINK, LANDMARK, NOISE, JOINT_COVARIANCE, MAP))
+
+
+def read_map(path: str | Path) -> LandmarkMap:
+    """The map that a file of format ``mapfuse.map/1`` holds.
+
+    A landmark whose type its arms contradict is kept, and named in a warning that this module's logger gives.
+
+    Raises `InputError` where the file can't be read (missing, a folder, forbidden, above 1 GiB), and
+    `FileFormatError` where it breaks a rule; its ``problems`` are all of them.
+    """
+    document, problems = decode(read_whole(path), path)
+    return _accepted(document, path, "", problems)
+
+
+def map_from_dict(document: Any, path: str | Path = "map", place: str = "") -> LandmarkMap:
+    """The map in a decoded JSON document; ``path`` and ``place`` (``sources.D7``) say in errors where it stood.
+
+    Raises `FileFormatError` as `read_map` does.
+
+    >>> map_from_dict({"format": "mapfuse.map/1", "name": "D7", "landmarks": []}).name
+    'D7'
+    """
+    return _accepted(document, path, place, ())
+
+
+def _accepted(document: Any, path: str | Path, place: str, known: tuple[Problem, ...]) -> LandmarkMap:
+    read, problems = check_map(document, place)
+    places = {problem.place for problem in known}
+    problems = known + tuple(problem for problem in problems if problem.place not in places)
+    if read is None or problems:
+        raise FileFormatError(path, problems)
+    warn_of_contradictions(read, path)
+    return read
+
+
+def check_map(document: Any, place: str = "") -> tuple[LandmarkMap | None, tuple[Problem, ...]]:
+    """A decoded JSON document as a map, or None and everything that is wrong with it (up to `MAX_PROBLEMS`)."""
+    faults: Faults = []
+    read = _map(document, faults)
+    problems = tuple(Problem(render(where, place), reason) for where, reason in islice(faults, MAX_PROBLEMS))
+    return (None if faults else read), problems
+
+
+def warn_of_contradictions(map_: LandmarkMap, path: str | Path) -> None:
+    """Log the landmarks of a map whose type their arms contradict."""
+    found = [(landmark, why) for landmark in map_.landmarks if (why := contradiction(landmark))]
+    if found:
+        named = ", ".join(f"{said(landmark.id)} ({landmark.type} with {why})" for landmark, why in found[:_NAMED])
+        more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+        _LOG.warning("%s: arms contradict the type of %s%s; kept as recorded", path, named, more)
+
+
+def validate(map_: LandmarkMap) -> tuple[Problem, ...]:
+    """Every rule of the format that a map built in memory breaks, with its place in the file; empty if none.
+
+    >>> validate(LandmarkMap("D7", (Landmark("c1", "corner", 1.0, float("nan")),)))
+    (Problem(place='landmarks[0].y', reason='must be a finite number, not NaN'),)
+    """
+    return _described(map_)[1]
+
+
+def map_to_dict(map_: LandmarkMap) -> dict[str, Any]:
+    """What stands in the file, as plain Python values; `map_from_dict` makes an equal map of it.
+
+    Written are the required fields, the type of each link, all of the noise (so that a later default doesn't change
+    what the robot is known to be), and every other field that differs from its default.
+
+    Raises `MapError` where the map breaks a rule of the format.
+    """
+    document, problems = _described(map_)
+    if problems:
+        raise MapError(map_.name, problems)
+    for record in document["landmarks"]:
+        if "covariance" in record:
+            record["covariance"] = record["covariance"].tolist()
+    if "joint_covariance" in document:
+        document["joint_covariance"]["matrix"] = document["joint_covariance"]["matrix"].tolist()
+    if "walls" in document:
+        document["walls"] = [wall.tolist() for wall in document["walls"]]
+    if "path" in document:
+        document["path"] = document["path"].tolist()
+    return document
+
+
+def write_map(map_: LandmarkMap, path: str | Path) -> None:
+    """Writes a map whole or not at all; reading it gives an equal map, the same map gives the same bytes.
+
+    Raises `MapError` where the map breaks a rule of the format, `OutputError` where the file can't be written.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_map(LandmarkMap("D7"), Path(folder) / "D7.map.json")
+    ...     read_map(Path(folder) / "D7.map.json") == LandmarkMap("D7")
+    True
+    """
+    write_whole(path, encode(map_to_dict(map_)))
+
+
+# Reading
+
+
+def _map(document: Any, faults: Faults) -> LandmarkMap | None:
+    if not isinstance(document, dict):
+        faults.append(((), f"must be an object, not {said(document)}"))
+        return None
+    if reason := _format_fault(document.get("format")):
+        faults.append((("format",), reason))
+        return None
+    nested = ("format", "noise", "landmarks", "joint_covariance")
+    values = _values(document, _MAP, ("name",), (), faults, nested)
+    values["noise"] = _noise(document.get("noise"), faults)
+    landmarks = document.get("landmarks")
+    if not isinstance(landmarks, list):
+        missing = "landmarks" not in document
+        faults.append((("landmarks",), "is missing" if missing else f"must be a list, not {said(landmarks)}"))
+        return None
+    ids = _ids(landmarks, faults)
+    values["landmarks"] = _landmarks(landmarks, ids, faults)
+    values["joint_covariance"] = _joint_covariance(document.get("joint_covariance"), ids, faults)
+    for identifier in values.get("same_as", ()):
+        if identifier not in ids:
+            faults.append((("same_as", identifier), "is no landmark of this map"))
+    return None if faults else LandmarkMap(**values)
+
+
+def _format_fault(format_: Any) -> str | None:
+    if format_ == FORMAT:
+        return None
+    if format_ is None:
+        return f"is missing; a recorded map says {said(FORMAT)}"
+    family, _, number = format_.partition("/") if isinstance(format_, str) else ("", "", "")
+    if family == "mapfuse.map" and number.isdecimal() and len(number) < 10 and int(number) > 1:
+        return f"is {said(format_)}, which is newer than this version of mapfuse reads ({FORMAT})"
+    if family == "mapfuse.fused":
+        return f"is {said(format_)}: a fused map, where a recorded one ({FORMAT}) is expected"
+    return f"must be {said(FORMAT)}, not {said(format_)}"
+
+
+def _values(
+    record: Any,
+    checks: _Checks,
+    required: Collection[str],
+    place: Place,
+    faults: Faults,
+    nested: Collection[str] = (),
+) -> dict[str, Any]:
+    """The fields of one object that hold what they should, unknown ones as ``extra``; nested ones are left out."""
+    values: dict[str, Any] = {}
+    if not isinstance(record, dict):
+        faults.append((place, f"must be an object, not {said(record)}"))
+        return values
+    extra: dict[str, Any] = {}
+    for key, value in record.items():
+        check = checks.get(key)
+        if check is None:
+            if key not in nested:
+                extra[key] = value
+        elif value is not None or key in required:
+            try:
+                values[key] = check(value)
+            except RuleError as error:
+                faults += [((*place, key, *where), reason) for where, reason in error.faults]
+    faults += [((*place, key), "is missing") for key in required if key not in record]
+    if extra:
+        values["extra"] = extra
+        faults += json_faults(extra, place)
+    return values
+
+
+def _noise(record: Any, faults: Faults) -> Noise:
+    if record is None:
+        return Noise()
+    before = len(faults)
+    values = _values(record, _NOISE, (), ("noise",), faults)
+    if len(faults) > before:
+        return Noise()
+    values |= {key: None for key in NULL_MEANS if key in record and record[key] is None}
+    return Noise(**values)
+
+
+def _ids(landmarks: list[Any], faults: Faults) -> dict[str, int]:
+    """The place of every id; one that stands twice is a fault of the later landmark."""
+    places: dict[str, int] = {}
+    for k, record in enumerate(landmarks):
+        identifier = record.get("id") if isinstance(record, dict) else None
+        if isinstance(identifier, str) and (first := places.setdefault(identifier, k)) != k:
+            faults.append((("landmarks", k, "id"), f"{said(identifier)} is the id of landmarks[{first}] already"))
+    return places
+
+
+def _landmarks(records: list[Any], ids: Mapping[str, int], faults: Faults) -> list[Landmark]:
+    landmarks = []
+    for k, record in enumerate(records):
+        place, before = ("landmarks", k), len(faults)
+        values = _values(record, _LANDMARK, ("id", "type", "x", "y"), place, faults, ("links",))
+        if isinstance(record, dict) and record.get("links") is not None:
+            values["links"] = _links(record["links"], values.get("id"), ids, (*place, "links"), faults)
+        if len(faults) == before:
+            landmark = Landmark(**values)
+            _check_heading(landmark, place, faults)
+            landmarks.append(landmark)
+        elif before > MAX_PROBLEMS:
+            break
+    return landmarks
+
+
+def _links(records: Any, own: Any, ids: Mapping[str, int], place: Place, faults: Faults) -> tuple[Link, ...]:
+    if not isinstance(records, list):
+        faults.append((place, f"must be a list, not {said(records)}"))
+        return ()
+    if len(records) > MAX_LINKS:
+        faults.append((place, f"holds {len(records)} links; a landmark has {MAX_LINKS} at most"))
+        return ()
+    links = []
+    for m, record in enumerate(records):
+        here, before = (*place, m), len(faults)
+        values = _values(record, _LINK, (), here, faults)
+        target = values.get("connected_to_id")
+        if target is not None and target not in ids:
+            faults.append(((*here, "connected_to_id"), f"{said(target)} is no landmark of this map"))
+        elif target is not None and target == own:
+            faults.append(((*here, "connected_to_id"), f"{said(target)} is the landmark itself"))
+        if len(faults) == before:
+            links.append(Link(**values))
+    return tuple(links)
+
+
+def _check_heading(landmark: Landmark, place: Place, faults: Faults) -> None:
+    """Where a landmark has arms they are its heading: one beside them agrees, and a 3x3 covariance needs either."""
+    arms = [link.heading for link in landmark.links if link.heading is not None]
+    if landmark.heading is not None and arms:
+        together = heading_of(landmark)
+        directions = arms if together is None else [*arms, together]
+        if min(abs(wrap(landmark.heading - direction)) for direction in directions) > HEADING_AGREEMENT + 1e-12:
+            faults.append(((*place, "heading"), "disagrees with the arms, which are the heading of this landmark"))
+    if landmark.covariance is not None and len(landmark.covariance) == 3 and landmark.heading is None and not arms:
+        faults.append(((*place, "covariance"), "must be 2x2: this landmark has no heading and no arms"))
+
+
+def _joint_covariance(record: Any, ids: Mapping[str, int], faults: Faults) -> JointCovariance | None:
+    if record is None:
+        return None
+    place, before = ("joint_covariance",), len(faults)
+    values = _values(record, _JOINT, ("order", "rows", "matrix"), place, faults)
+    for k, identifier in enumerate(values.get("order", ())):
+        if identifier not in ids:
+            faults.append(((*place, "order", k), f"{said(identifier)} is no landmark of this map"))
+    if len(faults) > before:
+        return None
+    size, matrix = len(values["order"]) * values["rows"], values["matrix"]
+    if len(matrix) != size:
+        reason = f"has {len(matrix)} rows; {len(values['order'])} landmarks of {values['rows']} rows need {size}"
+        faults.append(((*place, "matrix"), reason))
+    elif wrong := covariance_fault(matrix):
+        faults.append(((*place, "matrix"), wrong))
+    return None if len(faults) > before else JointCovariance(**values)
+
+
+# Writing
+
+
+def _described(map_: LandmarkMap) -> tuple[dict[str, Any], tuple[Problem, ...]]:
+    """The document of a map, arrays left as they are, and what is wrong with it by the rules for reading."""
+    faults: Faults = []
+    document: dict[str, Any] = {"format": FORMAT, "name": _plain(map_.name)}
+    document |= _record(map_, ("robot", "recorded_at"))
+    document["noise"] = _record(map_.noise, NOISE, NOISE) | _extra(map_.noise, NOISE, ("noise",), faults)
+    document["landmarks"] = [_landmark(landmark, k, faults) for k, landmark in enumerate(map_.landmarks)]
+    if (joint := map_.joint_covariance) is not None:
+        extra = _extra(joint, JOINT_COVARIANCE, ("joint_covariance",), faults)
+        document["joint_covariance"] = _record(joint, JOINT_COVARIANCE, JOINT_COVARIANCE) | extra
+    document |= _record(map_, ("walls", "path", "same_as"))
+    document |= _extra(map_, (*MAP, "format", "noise", "landmarks", "joint_covariance"), (), faults)
+    _, problems = check_map(document)
+    return document, tuple(Problem(render(place), reason) for place, reason in faults) + problems
+
+
+def _landmark(landmark: Landmark, k: int, faults: Faults) -> dict[str, Any]:
+    place = ("landmarks", k)
+    record = _record(landmark, LANDMARK, ("id", "type", "x", "y"))
+    record["links"] = [
+        _record(link, LINK, ("type",)) | _extra(link, LINK, (*place, "links", m), faults)
+        for m, link in enumerate(landmark.links)
+    ]
+    if not record["links"]:
+        del record["links"]
+    return record | _extra(landmark, (*LANDMARK, "links"), place, faults)
+
+
+def _defaults(of: type[Any]) -> dict[str, Any]:
+    return {f.name: f.default_factory() if f.default_factory is not MISSING else f.default for f in fields(of)}
+
+
+_DEFAULTS = {kind: _defaults(kind) for kind in (Link, Landmark, Noise, JointCovariance, LandmarkMap)}
+
+
+def _record(value: Any, names: Collection[str], always: Collection[str] = ()) -> dict[str, Any]:
+    """These fields of a value, those that are their default left out unless they are to stand there ``always``."""
+    defaults = _DEFAULTS[type(value)]
+    record = {}
+    for name in names:
+        item, default = getattr(value, name), defaults[name]
+        if name in always or not (item is default or (type(item) is type(default) and item == default)):
+            record[name] = _plain(item)
+    return record
+
+
+def _plain(item: Any) -> Any:
+    """A value as JSON knows it; arrays of two dimensions stay, their rules know them."""
+    if isinstance(item, np.generic):
+        return item.item()
+    if isinstance(item, tuple):
+        return list(item)
+    if isinstance(item, Mapping):
+        return {key: _plain(value) for key, value in item.items()}
+    return item
+
+
+def _extra(value: Any, known: Collection[str], place: Place, faults: Faults) -> dict[str, Any]:
+    extra = value.extra
+    faults += [(place, f"extra holds {said(key)}, a field of its own") for key in extra if key in known]
+    return {key: item for key, item in extra.items() if key not in known}
