@@ -149,8 +149,8 @@ def json_faults(value: Any, place: Place) -> Iterator[tuple[Place, str]]:
     start = len(place)
     for where, item in walk(value, place):
         if len(where) - start > MAX_DEPTH:
-            yield place, f"is nested more than {MAX_DEPTH} deep"
-            return
+            yield where[: start + 1], f"is nested more than {MAX_DEPTH} deep"
+            return  # it may hold itself
         if isinstance(item, str):
             if fault := text_fault(item):
                 yield where, fault

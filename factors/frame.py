@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -29,10 +30,16 @@ class TransformPrior(Prior):
     """A weak prior on ``T_r``, so that no graph floats."""
 
     @classmethod
-    def weak(cls, r: int, T: ArrayLike) -> TransformPrior:
-        """Around the hypothesis ``T`` (3,), with `LOOSE_POSITION` and `LOOSE_ROTATION`: it doesn't pull."""
-        noise = PoseNoise.from_sigmas(LOOSE_POSITION, LOOSE_POSITION, LOOSE_ROTATION)
-        return cls(FrameKey(r), pose_triple(T), noise)
+    def weak(cls, r: int, T: ArrayLike, centre: ArrayLike = (0.0, 0.0)) -> TransformPrior:
+        """Around the hypothesis ``T`` (3,), with `LOOSE_POSITION` and `LOOSE_ROTATION`: it doesn't pull.
+
+        The position is that of ``centre`` (2,), a point of the map [m, map frame], not of its coordinates' origin,
+        which may be anywhere: so the prior is the same whatever coordinates the map has. A tangent (v, omega) of
+        ``T_r`` moves the centre by ``v + omega (-c_y, c_x)``.
+        """
+        x, y = np.asarray(centre, dtype=float).tolist()
+        w = 1 / LOOSE_POSITION
+        return cls(FrameKey(r), pose_triple(T), PoseNoise(w, 0.0, w, 1 / LOOSE_ROTATION, -y * w, x * w))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +58,12 @@ def pose_triple(T: ArrayLike) -> Triple:
     if pose.shape != (3,):
         raise MapfuseError(f"a transformation needs x, y and theta, not an array of shape {pose.shape}")
     return float(pose[0]), float(pose[1]), float(pose[2])
+
+
+def centre_of(recorded: LandmarkMap) -> tuple[float, float]:
+    """Mean position [m, map frame] of the landmarks, to the last bit the same in any order; the origin without any."""
+    n = max(1, len(recorded))
+    return math.fsum(l.x for l in recorded.landmarks) / n, math.fsum(l.y for l in recorded.landmarks) / n
 
 
 def components(recorded: LandmarkMap) -> tuple[tuple[str, ...], ...]:

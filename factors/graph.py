@@ -21,7 +21,7 @@ from mapfuse.datasets.transform import Transform
 
 from .compass import CompassReading, compass_readings, north_measurements
 from .correspondence import Correspondence, correspondence
-from .frame import Gauge, TransformPrior, frame_anchors, pose_triple
+from .frame import Gauge, TransformPrior, centre_of, frame_anchors, pose_triple
 from .heading import heading_measurements, headings_of
 from .joint import joint_measurement
 from .keys import ByIdentity, FrameKey, KeyBook, LandmarkKey, Unknown
@@ -55,7 +55,17 @@ class Problem:
     reference: int = 0
 
     def graph(self) -> Any:
-        """All measurements as a ``gtsam.NonlinearFactorGraph``, in their order."""
+        """All measurements as a ``gtsam.NonlinearFactorGraph``, in their order.
+
+        Raises `UndeterminedError` naming the landmarks that no measurement mentions: GTSAM would leave them where
+        they are in silence.
+        """
+        mentioned = {unknown for measurement in self.measurements for unknown in measurement.unknowns}
+        silent = [unknown for unknown in self.keys if unknown not in mentioned]
+        if silent:
+            landmarks = tuple((self.maps[u.map].name, u.id) for u in silent if isinstance(u, LandmarkKey))
+            names = "" if landmarks else f" ({', '.join(self.keys.name(self.keys.key(u)) for u in silent)})"
+            raise errors.UndeterminedError(f"no measurement says anything of these{names}", landmarks)
         graph = gtsam.NonlinearFactorGraph()
         for measurement in self.measurements:
             graph.add(measurement.factor(self.keys))
@@ -134,8 +144,8 @@ def build_problem(
     initial: dict[Unknown, Array] = {FrameKey(r): T for r, T in enumerate(frames)}
     measurements: list[Measurement] = []
     for r, (recorded, T, start) in enumerate(zip(maps, frames, given, strict=True)):
-        measurements.append(Gauge.held(r, T) if r == reference else TransformPrior.weak(r, T))
-        measurements += map_measurements(recorded, r)
+        own = map_measurements(recorded, r)
+        measurements += [Gauge.held(r, T) if r == reference else TransformPrior.weak(r, T, centre_of(recorded)), *own]
         placed = se2.compose(T, _starting_poses(recorded, start))
         initial |= {LandmarkKey(r, name): pose for name, pose in zip(recorded.ids, placed, strict=True)}
     readings = [m for m in measurements if isinstance(m, CompassReading)]

@@ -13,7 +13,7 @@ from mapfuse.datasets.maps import Landmark, LandmarkMap
 
 from .keys import ByIdentity, FrameKey, LandmarkKey
 from .measurement import Between
-from .noise import TIGHT, PoseNoise
+from .noise import PINNED_ROTATION, PoseNoise
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def heading_measurements(
         h = headings_of(recorded)[landmark.id]
         key = LandmarkKey(r, landmark.id)
         if h is None:
-            noise = PoseNoise.from_sigmas(np.inf, np.inf, TIGHT)
+            noise = PoseNoise.from_sigmas(np.inf, np.inf, PINNED_ROTATION)
             yield RotationPin(FrameKey(r), key, (0.0, 0.0, 0.0), noise)
         elif landmark.id not in known:
             noise = PoseNoise.from_sigmas(np.inf, np.inf, heading_sigma(recorded, landmark))

@@ -12,11 +12,11 @@ from mapfuse.datasets.arms import heading_of
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 from mapfuse.factors import pair_problem
 from mapfuse.matching.hypothesis import Hypothesis
+from mapfuse.matching.modes import displacement
 from mapfuse.matching.propose import propose
 
 from .config import FuseConfig, SolvingConfig
 from .decide import Verdict, decide
-from .elastic import ArmOverlay
 from .evidence import Background, Weighed, weigh
 from .growth import Growth, compatible, grow, joined_at
 from .prepared import PreparedMap
@@ -64,35 +64,46 @@ def grow_all(m1: PreparedMap, m2: PreparedMap, hypotheses: list[Hypothesis], con
     grown: list[Growth] = []
     explained: list[tuple[set[tuple[int, int]], float]] = []
     for hypothesis in hypotheses:
-        seed = tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.seed)
+        seed = _seed(m1, m2, hypothesis)
         theta = hypothesis.T12.theta
         if any(set(seed) <= pairs and abs(se2.wrap(theta - turn)) < 0.5 for pairs, turn in explained):
             continue
         growth = grow(m1, m2, hypothesis.T12.array, seed, config, may)
         pairs = set(zip(growth.i.tolist(), growth.j.tolist(), strict=True))
         explained.append((pairs | set(seed), float(growth.joined.T12[2])))
-        if not any(_same(growth, other) for other in grown):
-            grown.append(growth)
+        grown.append(growth)
     return grown
 
 
-def _same(a: Growth, b: Growth) -> bool:
-    """Whether two grown hypotheses are one answer: most matches in common, or the same placement."""
+def _seed(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> tuple[tuple[int, int], ...]:
+    """The pairs to grow from: what proposed the hypothesis, or, where that has no heading, all that match under it."""
+    seed = tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.seed)
+    if all(m1.headed[i] and m2.headed[j] for i, j in seed):
+        return seed
+    return tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.correspondences) or seed
+
+
+def _one_answer(a: Growth, b: Growth, tolerance_m: float) -> bool:
+    """Whether two grown hypotheses are variants of one answer.
+
+    So they are where half of the smaller one's matches are the other's too, or where both lay map 2 on the same
+    place: twins that stand close together may be matched either way.
+    """
     pairs_a = set(zip(a.i.tolist(), a.j.tolist(), strict=True))
     pairs_b = set(zip(b.i.tolist(), b.j.tolist(), strict=True))
-    return pairs_a == pairs_b or (
-        len(pairs_a) == len(pairs_b) and 2 * len(pairs_a & pairs_b) > len(pairs_a) and a.joined.m1 is b.joined.m1
-    )
+    if 2 * len(pairs_a & pairs_b) >= min(len(pairs_a), len(pairs_b)):
+        return True
+    overlap = a.joined.m2.positions[np.union1d(a.j, b.j)]
+    return bool(displacement(a.joined.T12, b.joined.T12, overlap) < tolerance_m)
 
 
-def _distinct(weighed: list[Weighed]) -> list[Weighed]:
-    """The best of each answer: two whose matches overlap by half of the smaller, in one turn, are variants of one."""
-    kept: list[tuple[Weighed, set[tuple[int, int]]]] = []
+def _distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
+    """The best variant of each answer."""
+    kept: list[Weighed] = []
     for w in sorted(weighed, key=lambda w: -w.log_odds):
-        pairs = set(zip(w.growth.i.tolist(), w.growth.j.tolist(), strict=True))
-        if not any(2 * len(pairs & other) >= min(len(pairs), len(other)) for _, other in kept):
-            kept.append((w, pairs))
-    return [w for w, _ in kept]
+        if not any(_one_answer(w.growth, other.growth, tolerance_m) for other in kept):
+            kept.append(w)
+    return kept
 
 
 def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Weighed, Solution]:
@@ -118,7 +129,7 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutco
     background = Background(m1, m2)
     hypotheses = propose(straightened(m1), straightened(m2), config.matching)
     grown = grow_all(m1, m2, hypotheses, config.solving)
-    weighed = _distinct([weigh(g, background, config.evidence) for g in grown])
+    weighed = _distinct([weigh(g, background, config.evidence) for g in grown], config.matching.tolerance_m)
     verdict = decide(weighed, config.evidence, config.decision)
     solved: dict[int, tuple[Weighed, Solution]] = {}
     for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):

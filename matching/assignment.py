@@ -77,6 +77,17 @@ class PointGrid:
         self._members = order // len(ring)
         self._count = np.bincount(listed, minlength=int(self._shape.prod()))
         self._start = np.cumsum(self._count) - self._count
+        self._at_points = self._count[own]
+
+    @property
+    def crowding(self) -> float:
+        """How many points must be looked at around a place where one is, on average (1 or more)."""
+        return float(self._at_points.mean()) if len(self.points) else 1.0
+
+    @property
+    def most_listed(self) -> int:
+        """How many points must be looked at around any place at most (1 or more)."""
+        return int(self._count.max(initial=1))
 
     def _cells(self, x: Array, y: Array) -> Indices:
         column, row = (

@@ -8,10 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from mapfuse.datasets import read_map
 from mapfuse.fusion import read_fused
+from mapfuse.fusion.cli.demo import CASES
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -25,36 +24,35 @@ COMMANDS = [line for block in blocks("sh") for line in block.splitlines()]
 MAPFUSE_COMMANDS = [line for line in COMMANDS if line.startswith(".venv/bin/mapfuse ")]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An empty folder in which all mapfuse commands of the README have been run, in their order."""
-    place = tmp_path_factory.mktemp("readme")
-    (place / ".venv").mkdir()
-    (place / ".venv" / "bin").symlink_to(Path(sys.executable).parent)
-    for line in MAPFUSE_COMMANDS:
-        done = subprocess.run(["bash", "-c", line], cwd=place, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{line}\n{done.stderr}"
-    return place
-
-
 def test_set_up_and_tests_are_one_line_each() -> None:
     assert len([line for line in COMMANDS if line.startswith("python3 -m venv .venv && ")]) == 1
     assert len([line for line in COMMANDS if line.startswith(".venv/bin/pytest")]) == 1
     assert len(COMMANDS) == len(MAPFUSE_COMMANDS) + 2, "a shell line that nothing runs"
 
 
-def test_commands_leave_what_they_say(folder: Path) -> None:
+def test_commands_and_python_run_as_they_stand(tmp_path: Path) -> None:
+    (tmp_path / ".venv").mkdir()
+    (tmp_path / ".venv" / "bin").symlink_to(Path(sys.executable).parent)
+    said = []
+    for line in MAPFUSE_COMMANDS:
+        done = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+        said.append(done.stdout)
+
     assert MAPFUSE_COMMANDS[0] == ".venv/bin/mapfuse demo"
-    assert (folder / "floor.png").read_bytes().startswith(b"\x89PNG")
-    assert (folder / "milka.png").read_bytes().startswith(b"\x89PNG")
-    assert read_fused(folder / "floor.fused.json").decision == "merged"
+    demo = tmp_path / "mapfuse-demo"
+    decisions = {case.name: read_fused(demo / f"{case.name}.fused.json").decision for case in CASES}
+    assert decisions.pop("two-buildings") != "merged"
+    assert decisions == {"ground-floor": "merged", "victoria-park": "merged"}
+    for case in CASES:
+        assert case.about in said[0], "the demo says what each pair is"
+        assert (demo / f"{case.name}.png").read_bytes().startswith(b"\x89PNG")
+    assert read_fused(tmp_path / "floor.fused.json") == read_fused(demo / "ground-floor.fused.json")
+    assert (tmp_path / "floor.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "milka.png").read_bytes().startswith(b"\x89PNG")
 
-
-def test_python_examples_run(folder: Path) -> None:
-    assert len(blocks("python")) == 1
-    done = subprocess.run(
-        [sys.executable, "-c", blocks("python")[0]], cwd=folder, capture_output=True, text=True, check=False
-    )
+    (example,) = blocks("python")
+    done = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("merged ")
 

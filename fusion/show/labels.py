@@ -69,12 +69,14 @@ def _along_links(at: Array, scene: Scene) -> list[Array]:
     return found
 
 
-def wrapped(figure: Figure, text: str, fontsize: float, width_in: float, max_lines: int = 12) -> str:
+def wrapped(
+    figure: Figure, text: str, fontsize: float, width_in: float, max_lines: int = 12, weight: str = "normal"
+) -> str:
     """The text in lines that are at most that wide [inches] as drawn; words longer than a line are broken.
 
     What doesn't fit into ``max_lines`` ends in an ellipsis.
     """
-    probe = figure.text(0, 0, "", fontsize=fontsize, parse_math=False)
+    probe = figure.text(0, 0, "", fontsize=fontsize, weight=weight, parse_math=False)
     try:
         lines = [line for part in text.splitlines() or [""] for line in _fitting(probe, figure, part, width_in)]
     finally:
@@ -108,10 +110,8 @@ def probability_text(p: float) -> str:
     """A probability with as many digits as keep it apart from certainty.
 
     >>> [probability_text(p) for p in (0.5, 0.998, 0.99987, 0.99999999, 1.0, 0.0001)]
-    ['0.500', '0.998', '0.9999', '> 0.9999', '1', '< 0.001']
+    ['0.500', '0.998', '0.9999', '> 0.9999', '> 0.9999', '< 0.001']
     """
-    if p in (0.0, 1.0):
-        return f"{p:.0f}"
     if p < 0.0005:
         return "< 0.001"
     if p < 0.9985:

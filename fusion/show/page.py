@@ -64,7 +64,7 @@ def draw_page(page: Page, path: str | Path | None, *, ids: bool | None, ellipse_
 
 
 def _title(figure: Figure, content: str) -> Text:
-    lines = wrapped(figure, content, 13.0, 0.93 * _TEXT_WIDTH, 4)  # measured in regular weight, bold is wider
+    lines = wrapped(figure, content, 13.0, _TEXT_WIDTH, 4, weight="bold")
     return figure.suptitle(
         lines, x=0, y=0, fontsize=13.0, weight="bold", color=INK, ha="left", va="top", parse_math=False
     )

@@ -39,7 +39,7 @@ def draw_fused(
     >>> pair = PairResult(("A", "B"), "no_overlap", 0.0, 1.0, (), (), "no landmark kinds in common")
     >>> fused = FusedMap("no_overlap", 1.0, ("A", "B"), (("A",), ("B",)), {}, (pair,), (), {})
     >>> draw_fused(fused).get_suptitle()
-    'A + B: no overlap, probability of no overlap 1'
+    'A + B: no overlap, probability of no overlap > 0.9999'
     """
     from .fused_page import fused_page
     from .page import draw_page

@@ -106,11 +106,22 @@ def _covariances(of: Iterable[Array | None]) -> tuple[Array, NDArray[np.intp]]:
     return matrices, np.array([k for k, _ in known], dtype=np.intp)
 
 
+def _own_covariances(map_: LandmarkMap) -> list[Array | None]:
+    """Each landmark's covariance, from the joint one where that knows it."""
+    found = [landmark.covariance for landmark in map_.landmarks]
+    if (joint := map_.joint_covariance) is None:
+        return found
+    for k, identifier in enumerate(joint.order):
+        block = slice(joint.rows * k, joint.rows * k + 2)
+        found[map_.index_from_id[identifier]] = joint.matrix[block, block]
+    return found
+
+
 def scene_of_map(map_: LandmarkMap, owner: int = 0) -> Scene:
     """One map in its own frame."""
     n = len(map_)
     links = _links([(l.id, l.links) for l in map_.landmarks])
-    covariances, covariance_of = _covariances(l.covariance for l in map_.landmarks)
+    covariances, covariance_of = _covariances(_own_covariances(map_))
     return Scene(
         positions=map_.positions,
         kinds=tuple(signature(l).kind for l in map_.landmarks),

@@ -47,6 +47,7 @@ def document():
     whole = json.loads(EXAMPLE)
     whole["landmarks"][0]["covariance"] = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.002], [0.0, 0.002, 0.001]]
     whole["landmarks"][1] |= {"heading": 0.3, "existence": 0.9, "covariance": [[1, 0], [0, 0]]}
+    whole["landmarks"].append({"id": "t9", "type": "tree", "x": 3, "y": 0.5})
     whole["joint_covariance"] = {"order": ["d4", "c1"], "rows": 2, "matrix": np.diag([1, 2, 3, 4]).tolist()}
     whole["walls"] = [[[0, 0], [1.5, 0]], [[2, 2], [3, 3], [4, 2]]]
     whole["path"] = [[0, 0, 0, 0.1], [1.5, 1, 0, -3.1], [1.5, 1, 0, 3.1]]
@@ -105,7 +106,7 @@ def test_null_in_an_optional_field_is_absence():
     for key in ("heading", "covariance", "existence", "links", "visit_counter", "detection_counter"):
         whole["landmarks"][1][key] = None
     read = map_from_dict(whole)
-    assert read == LandmarkMap("D7", (read["c1"], Landmark("d4", "door", 5.2, 2.0)))
+    assert read == LandmarkMap("D7", (read["c1"], Landmark("d4", "door", 5.2, 2.0), read["t9"]))
 
 
 def test_an_unknown_compass_offset_is_not_the_default():
@@ -271,9 +272,9 @@ BROKEN = [
     (["name"], None, "name", "must be text, not null"),
     (["robot"], ["x"], "robot", "must be text, not a list"),
     (["landmarks"], {}, "landmarks", "must be a list, not an object"),
-    (["landmarks", 1], 3, "landmarks[1]", "must be an object, not 3"),
-    (["landmarks", 1, "id"], "c1", "landmarks[1].id", '"c1" is the id of landmarks[0] already'),
-    (["landmarks", 0, "id"], "", "landmarks[0].id", "must not be empty"),
+    (["landmarks", 2], 3, "landmarks[2]", "must be an object, not 3"),
+    (["landmarks", 2, "id"], "c1", "landmarks[2].id", '"c1" is the id of landmarks[0] already'),
+    (["landmarks", 2, "id"], "", "landmarks[2].id", "must not be empty"),
     (["landmarks", 0, "type"], None, "landmarks[0].type", "must be text, not null"),
     (["landmarks", 0, "x"], "1.0", "landmarks[0].x", 'must be a number, not "1.0"'),
     (["landmarks", 0, "x"], True, "landmarks[0].x", "must be a number, not true"),
@@ -519,7 +520,7 @@ def test_an_arm_that_was_travelled_is_passable_whatever_its_type_says(caplog):
 )
 def test_a_map_that_breaks_a_rule_is_not_written(tmp_path, bad, place):
     assert [problem.place for problem in validate(bad)] == [place]
-    with pytest.raises(MapError, match="^map "):
+    with pytest.raises(MapError, match=r"^map "):
         write_map(bad, tmp_path / "bad.map.json")
     assert list(tmp_path.iterdir()) == []
 
@@ -528,8 +529,11 @@ def test_extra_that_is_too_deep_to_be_read_back_is_refused_both_ways():
     deep = 1
     for _ in range(70):
         deep = [deep]
-    assert problems_of(changed(["vendor"], deep)) == {"": "is nested more than 64 deep"}
+    assert problems_of(changed(["vendor"], deep)) == {"vendor": "is nested more than 64 deep"}
     assert validate(LandmarkMap("m", extra={"vendor": deep}))
+    endless = []
+    endless.append(endless)
+    assert [problem.place for problem in validate(LandmarkMap("m", extra={"vendor": endless}))] == ["vendor"]
 
 
 def test_reading_leaves_the_document_as_it_was():

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.errors import MapError, MapfuseError
+from mapfuse.datasets.errors import MapError, MapfuseError, UndeterminedError
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.datasets.transform import Transform
@@ -109,8 +109,8 @@ def test_two_maps_without_noise_have_no_error_under_the_true_T12_and_much_under_
     wrong = pair_problem(map1, map2, T12 + np.array([1.0, 0.0, 0.0]), MATCHES, robust=False)
     assert wrong.error() > 1000
     _, _, poses = optimum(wrong)
-    # the weak prior stands 1 m and its sigma 1000 m away: no pull that could be seen
-    np.testing.assert_allclose(se2.between(T12, poses[FrameKey(1)]), 0, atol=1e-6)
+    # the weak prior stands 1 m off with a sigma of 100 m: no pull that could be seen
+    np.testing.assert_allclose(se2.between(T12, poses[FrameKey(1)]), 0, atol=2e-5)
 
 
 def test_three_maps_in_one_problem_with_any_of_them_as_reference():
@@ -156,20 +156,20 @@ def landmarks_of(problem, values, poses, r):
     }
 
 
-@pytest.mark.parametrize("G", [(10.0, -3.0, 1.0), (0.0, 0.0, np.pi), (-200.0, 100.0, -2.2)])
+@pytest.mark.parametrize("G", [(10.0, -3.0, 1.0), (0.0, 0.0, np.pi), (-2000.0, 1000.0, -2.2)])
 def test_moving_the_second_map_in_its_coordinates_moves_T12_and_nothing_else(G):
     map1, map2, T12 = noisy_pair()
     before = pair_problem(map1, map2, T12, MATCHES, robust=False)
     after = pair_problem(map1, moved(map2, np.array(G)), se2.compose(T12, se2.inverse(G)), MATCHES, robust=False)
     graph0, values0, poses0 = optimum(before)
     graph1, values1, poses1 = optimum(after)
-    assert graph1.error(values1) == pytest.approx(graph0.error(values0), rel=1e-4)
+    assert graph1.error(values1) == pytest.approx(graph0.error(values0), rel=1e-7)
     expected = se2.compose(poses0[FrameKey(1)], se2.inverse(G))
-    np.testing.assert_allclose(se2.between(expected, poses1[FrameKey(1)]), 0, atol=2e-4)
+    np.testing.assert_allclose(se2.between(expected, poses1[FrameKey(1)]), 0, atol=1e-5)
     found0, found1 = (landmarks_of(p, v, x, 1) for p, v, x in ((before, values0, poses0), (after, values1, poses1)))
     for name, (xy, C) in found0.items():
-        np.testing.assert_allclose(found1[name][0], xy, atol=1e-4)
-        np.testing.assert_allclose(found1[name][1][:2, :2], C[:2, :2], rtol=1e-3, atol=1e-6)
+        np.testing.assert_allclose(found1[name][0], xy, atol=1e-6)
+        np.testing.assert_allclose(found1[name][1][:2, :2], C[:2, :2], rtol=1e-5, atol=1e-8)
 
 
 def test_swapping_the_maps_inverts_T12():
@@ -184,19 +184,20 @@ def test_swapping_the_maps_inverts_T12():
 def test_shuffled_landmarks_give_the_very_same_graph():
     map1, map2, T12 = noisy_pair()
     rng = np.random.default_rng(5)
-    graph, values, _ = optimum(pair_problem(map1, map2, T12, MATCHES, robust=False))
+    problem = pair_problem(map1, map2, T12, MATCHES, robust=False)
+    graph, values, _ = optimum(problem)
     for _ in range(3):
         mixed = []
         for recorded in (map1, map2):
             landmarks = [recorded.landmarks[k] for k in rng.permutation(len(recorded))]
             mixed.append(recorded.replace(landmarks=tuple(landmarks)))
         shuffled = pair_problem(*mixed, T12, MATCHES, robust=False)
-        assert shuffled.graph().equals(graph, 0.0)
-        assert shuffled.values().equals(pair_problem(map1, map2, T12, MATCHES).values(), 0.0)
-        links = [recorded.replace(landmarks=tuple(_mixed_links(l, rng) for l in recorded.landmarks)) for recorded in mixed]
-        assert pair_problem(*links, T12, MATCHES, robust=False).graph().error(values) == pytest.approx(
-            graph.error(values), rel=1e-12
-        )
+        assert shuffled.measurements == problem.measurements
+        assert list(shuffled.keys) == list(problem.keys)
+        assert all(np.array_equal(shuffled.initial[unknown], pose) for unknown, pose in problem.initial.items())
+        links = [m.replace(landmarks=tuple(_mixed_links(l, rng) for l in m.landmarks)) for m in mixed]
+        other = pair_problem(*links, T12, MATCHES, robust=False).graph()
+        assert other.error(values) == pytest.approx(graph.error(values), rel=1e-12)
 
 
 def _mixed_links(landmark, rng):
@@ -237,7 +238,14 @@ def test_keys_and_unknowns_are_each_others_inverse_and_unique_without_their_lett
 
 def test_the_landmark_that_gtsam_names_is_found_in_its_message():
     problem = single_map_problem(true_map("m", (0.0, 0.0, 0.0)))
-    floating = problem.with_measurements(m for m in problem.measurements if LandmarkKey(0, "t") not in m.unknowns)
+    tree = LandmarkKey(0, "t")
+    silent = problem.with_measurements(m for m in problem.measurements if tree not in m.unknowns)
+    with pytest.raises(UndeterminedError, match="m:t") as named:
+        silent.graph()
+    assert named.value.landmarks == (("m", "t"),)
+    floating = problem.with_measurements(
+        m for m in problem.measurements if not (isinstance(m, FrameAnchor) and tree in m.unknowns)
+    )
     with pytest.raises(RuntimeError) as caught:
         gtsam.Marginals(floating.graph(), floating.values())
     assert problem.keys.mentioned(str(caught.value)) == (LandmarkKey(0, "t"),)
@@ -390,3 +398,20 @@ def test_nees_of_T12_over_hundreds_of_pairs_is_in_its_band(compass):
     nees = np.array([transform_error(20_000 + k, compass) for k in range(400)])
     low, high = chi2.ppf([0.025, 0.975], 3 * len(nees)) / len(nees)
     assert low < nees.mean() < high
+
+
+@pytest.mark.parametrize("heading", [None, 0.7])
+@pytest.mark.parametrize("position_sigma", [0.03, 0.3, 3.0])
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_a_map_that_nothing_ties_to_the_other_doesnt_float(heading, position_sigma, count):
+    rng = np.random.default_rng(6)
+    noise = Noise(position_sigma=position_sigma)
+    xy = rng.normal(0, 10, (count, 2))
+    landmarks = tuple(Landmark(f"p{k}", "tree", *p, heading=heading) for k, p in enumerate(xy))
+    recorded = LandmarkMap("m", landmarks, noise=noise)
+    problem = pair_problem(recorded, recorded.replace(name="n"), (1.0, 2.0, 3.0), [])
+    marginals = gtsam.Marginals(problem.graph(), problem.values())
+    C = marginals.marginalCovariance(problem.keys.key(FrameKey(1)))
+    x, y = xy.mean(axis=0)
+    of_centre = np.array([[1, 0, -y], [0, 1, x], [0, 0, 1]])
+    np.testing.assert_allclose(np.sqrt(np.diag(of_centre @ C @ of_centre.T)), (100, 100, 10), rtol=1e-3)

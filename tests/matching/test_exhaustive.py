@@ -363,6 +363,12 @@ def test_ten_thousand_landmarks_are_refused_with_the_advice():
         match_exhaustively(LandmarkMap("one", marks), LandmarkMap("two", marks))
 
 
+def test_a_heap_of_duplicates_too_large_to_sort_out_is_refused():
+    heap = LandmarkMap("heap", tuple(faced(str(k)) for k in range(300)))
+    with pytest.raises(TooLargeError, match="mode 'default'"):
+        match_exhaustively(heap, heap)
+
+
 def test_many_landmarks_that_cannot_propose_are_no_reason_to_refuse():
     doors = tuple(Landmark(str(k), "door", float(k), 0.0) for k in range(10_000))
     result = match_exhaustively(LandmarkMap("one", doors), LandmarkMap("two", doors))
