@@ -17,7 +17,7 @@ import numpy as np
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.maps import LandmarkMap
-from mapfuse.datasets.values import frozen_array, rebuilt
+from mapfuse.datasets.values import frozen_array, rebuilt, same_fields
 
 from .heading import headings_of
 from .keys import FrameKey, KeyBook, LandmarkKey, Unknown
@@ -47,6 +47,12 @@ class JointMeasurement:
             raise MapfuseError(f"a joint measurement of {n} landmarks and {m} numbers has arrays of other shapes")
         if not (np.isfinite(self.recorded).all() and np.isfinite(self.sqrt_information).all()):
             raise MapfuseError("a joint measurement has numbers that are not finite")
+
+    def __eq__(self, other: object) -> bool:
+        return same_fields(self, other)
+
+    def __hash__(self) -> int:
+        return hash((self.frame, self.landmarks, self.places))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return rebuilt(self)

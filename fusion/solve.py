@@ -122,8 +122,8 @@ def information(linear: Any, size: int) -> Array:
     return dense
 
 
-def _optimise(problem: Problem) -> tuple[dict[Unknown, Array], int]:
-    """Levenberg-Marquardt, then Gauss-Newton steps to the very optimum.
+def _optimise(problem: Problem, exact: bool = True) -> tuple[dict[Unknown, Array], int]:
+    """Levenberg-Marquardt, then, where ``exact``, Gauss-Newton steps to the very optimum.
 
     LM may report success after a small decrease far from the optimum, and covariances there are worth nothing.
     """
@@ -138,6 +138,8 @@ def _optimise(problem: Problem) -> tuple[dict[Unknown, Array], int]:
             optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
             values = optimizer.optimize()
             iterations += optimizer.iterations()
+            if not exact:
+                break
             for _ in range(MAX_POLISHING):
                 step = graph.linearize(values).optimize()
                 largest = max(float(np.abs(step.at(unknown)).max()) for unknown in values.keys())  # noqa: SIM118
@@ -199,7 +201,7 @@ def solve(problem: Problem, config: SolvingConfig) -> Solution:
     """
     rejected: list[Correspondence] = []
     if any(m.loss is not None for m in problem.of_kind(Correspondence)):
-        poses, _ = _optimise(problem)
+        poses, _ = _optimise(problem, exact=False)
         problem = problem.starting_at(poses).with_correspondences(m.unknowns for m in problem.of_kind(Correspondence))
     solution = _solved(problem)
     while matches := problem.of_kind(Correspondence):

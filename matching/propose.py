@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
+from itertools import chain, zip_longest
+
+import numpy as np
 
 from mapfuse.datasets.arms import heading_of
 from mapfuse.datasets.maps import LandmarkMap
@@ -12,6 +16,9 @@ from .exhaustive import match_exhaustively
 from .hypothesis import Hypothesis
 from .modes import distinct_modes
 from .point_pairs import match_point_pairs
+
+#: Pairs tried times landmarks in map 2: what the default mode spends on proposals by headings (some seconds).
+MAX_TRIALS = 30_000_000
 
 
 def propose(
@@ -33,14 +40,37 @@ def propose(
     config = config or MatchingConfig()
     if config.mode == "paper":
         return list(match_exhaustively(map1, map2, config).hypotheses)
-    every_kind = replace(config, use_h2=False, use_compass=False)
-    headed = match_exhaustively(map1, map2, every_kind).best(8 * config.max_hypotheses)
+    headed = _from_headings(map1, map2, config)
     points = match_point_pairs(_without_heading(map1), _without_heading(map2), config)
-    ranked = sorted([*headed, *points], key=lambda h: -h.count)
-    return distinct_modes(ranked, map2.positions, config.tolerance_m, config.max_hypotheses) if ranked else []
+    distinct = distinct_modes(headed, map2.positions, config.tolerance_m, config.max_hypotheses)
+    # both kinds of proposals are ranked, but by figures that don't compare: take turns
+    turns = chain.from_iterable(zip_longest(distinct, points))
+    return [hypothesis for hypothesis in turns if hypothesis is not None][: config.max_hypotheses]
+
+
+def _from_headings(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig) -> list[Hypothesis]:
+    """What single pairs of landmarks propose: all of them, or, in large maps, those of the rarest types of map 2.
+
+    A hypothesis needs one seed only, and any of the common landmarks will do.
+    """
+    every_kind = replace(config, use_h2=False, use_compass=False)
+    frequency = Counter(map1.types)
+    rarest = sorted(range(len(map2)), key=lambda k: (frequency[map2.types[k]], map2.positions[k].tolist()))
+    budget, seeds = MAX_TRIALS // max(len(map2), 1), len(map2)
+    pairs = np.cumsum([frequency[map2.types[k]] for k in rarest])
+    if len(pairs) and pairs[-1] > budget:
+        seeds = max(1, int(np.searchsorted(pairs, budget)))
+    chosen = map2 if seeds == len(map2) else _part(map2, sorted(rarest[:seeds]))
+    return list(match_exhaustively(map1, chosen, every_kind).best(8 * config.max_hypotheses))
+
+
+def _part(recorded: LandmarkMap, chosen: list[int]) -> LandmarkMap:
+    """Some of the map's landmarks, for the matcher's eyes only: links to others are left as they are."""
+    landmarks = tuple(recorded.landmarks[k] for k in chosen)
+    return recorded.replace(landmarks=landmarks, joint_covariance=None, same_as={})
 
 
 def _without_heading(recorded: LandmarkMap) -> LandmarkMap:
     """The map's landmarks that propose only in pairs."""
-    bare = tuple(landmark for landmark in recorded.landmarks if heading_of(landmark) is None)
-    return recorded.replace(landmarks=bare, joint_covariance=None, same_as={})
+    bare = [k for k, landmark in enumerate(recorded.landmarks) if heading_of(landmark) is None]
+    return _part(recorded, bare)

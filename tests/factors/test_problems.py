@@ -299,7 +299,8 @@ def test_copies_and_pickles_of_measurements_are_equal_and_frozen():
     for other in (pickle.loads(pickle.dumps(problem)), copy.deepcopy(problem)):
         assert other.error() == problem.error()
         assert not other.of_kind(JointMeasurement)[0].sqrt_information.flags.writeable
-        assert other.graph().equals(problem.graph(), 0.0) or other.of_kind(JointMeasurement)
+        assert other.measurements == problem.measurements
+        assert list(other.keys) == list(problem.keys)
 
 
 def test_measurements_of_a_map_are_worked_out_once():
@@ -371,7 +372,7 @@ def test_a_starting_value_that_is_not_finite_never_reaches_gtsam():
 
 
 def transform_error(seed, compass):
-    """Squared Mahalanobis distance of T12 and the mean one of the landmarks' positions, true pairs given."""
+    """Squared Mahalanobis distance of the solved T12 from the true one, the true correspondences given."""
     map1, map2, truth = simulated_pair(seed, compass=compass)
     T12 = truth.T12("A", "B").array
     problem = pair_problem(map1, map2, T12, truth.true_pairs("A", "B"), robust=False)
@@ -386,8 +387,8 @@ def transform_error(seed, compass):
 
 @pytest.mark.parametrize("compass", [False, True])
 def test_T12_of_simulated_pairs_is_as_far_off_as_its_covariance_says(compass):
-    # 60 fixed pairs, the true correspondences given: inside the 99.8 % band, so that it fails for a wrong model only
-    nees = np.array([transform_error(700 + k, compass) for k in range(60)])
+    # 40 fixed pairs, the true correspondences given: inside the 99.8 % band, so that it fails for a wrong model only
+    nees = np.array([transform_error(700 + k, compass) for k in range(40)])
     low, high = chi2.ppf([0.001, 0.999], 3 * len(nees)) / len(nees)
     assert low < nees.mean() < high
 
