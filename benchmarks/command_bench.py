@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -14,6 +15,8 @@ from baseline import Metric
 
 from mapfuse.datasets import recordings
 
+# idle threads of a linear algebra library spin, and count as processor time
+_ONE_THREAD = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 _MAPFUSE = str(Path(sys.executable).with_name("mapfuse"))
 
 
@@ -25,14 +28,18 @@ class Cost:
     processor: float
 
 
+def _children_seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def _cost(repeat: int, *command: str) -> Cost:
     walls, processors = [], []
     for _ in range(repeat):
-        before, begin = os.times(), time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True)
+        before, begin = _children_seconds(), time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True, env=_ONE_THREAD)
         walls.append(time.perf_counter() - begin)
-        after = os.times()
-        processors.append(after.children_user + after.children_system - before.children_user - before.children_system)
+        processors.append(_children_seconds() - before)
     return Cost(min(walls), min(processors))
 
 

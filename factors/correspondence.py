@@ -10,7 +10,7 @@ from mapfuse.datasets import arms
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 
 from .axes import wrapped
-from .heading import headings_of
+from .heading import arms_variance, headings_of
 from .keys import LandmarkKey
 from .measurement import Between
 from .noise import Loss, PoseNoise
@@ -42,8 +42,7 @@ def arm_turn(
 
     ``rotation`` [rad] takes map 2 into map 1. An arm m stands at ``theta + alpha_m`` in the merged frame, alpha_m being
     its heading less the landmark's; the arms that meet are the same arm, so the difference is the mean of
-    ``alpha_a,m - alpha_b,m'``. Its variance on each side, where only k_met of the k arms meet, is
-    ``heading_sigma^2 / 2 (1/k_met - 1/k)``: the landmark's heading is the mean over all k.
+    ``alpha_a,m - alpha_b,m'``. Its variance is that of the arms' own errors on both sides (`heading.arms_variance`).
 
     None where no arms meet, or one of the two has no heading, or only one of them has arms (its heading is then
     defined otherwise). Two landmarks without arms mean the same by their own headings: 0.
@@ -57,13 +56,21 @@ def arm_turn(
     met = _one_to_one(arms1, arms2, rotation)
     if not met:
         return None
-    off = [wrapped(arms1.headings[m] - h1 - (arms2.headings[n] - h2)) for m, n in met]
-    turn = off[0] + sum(wrapped(value - off[0]) for value in off) / len(off)
+    # the error of a travelled arm is in its link already: such arms count only where there are no others, and half
+    own = [(m, n) for m, n in met if not (_travelled(landmark1, arms1, m) or _travelled(landmark2, arms2, n))]
+    used, share = (own, 1.0) if own else (met, 2.0)
+    off = [wrapped(arms1.headings[m] - h1 - (arms2.headings[n] - h2)) for m, n in used]
+    turn = off[0] + np.mean([wrapped(value - off[0]) for value in off])
     variance = sum(
-        recorded.noise.heading_sigma**2 / 2 * (1 / len(met) - 1 / len(signature.headings))
-        for recorded, signature in ((map1, arms1), (map2, arms2))
+        arms_variance(recorded, landmark, len(used))
+        for recorded, landmark in ((map1, landmark1), (map2, landmark2))
     )
-    return wrapped(turn), float(variance)
+    return wrapped(turn), float(share * variance)
+
+
+def _travelled(landmark: Landmark, signature: arms.ArmSignature, arm: int) -> bool:
+    link = landmark.links[signature.links[arm]]
+    return link.connected_to_id is not None and link.distance is not None
 
 
 def _one_to_one(

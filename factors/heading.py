@@ -37,16 +37,36 @@ def _headings_of(cached: ByIdentity) -> Mapping[str, float | None]:
 
 
 def heading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
-    """Standard deviation [rad] of a landmark's heading: ``heading_sigma sqrt(1/2 + 1/(2k))`` with k arms.
+    """Standard deviation [rad] of what all of a landmark's directions are off by: ``heading_sigma / sqrt 2`` (row 1).
 
-    Without arms that of its own 3x3 covariance, else ``heading_sigma``.
+    The rotation that is estimated is where the robot stood by its own heading; each arm's own error counts where that
+    arm is used, in its link and in correspondences. Without arms: that of its own 3x3 covariance, else
+    ``heading_sigma``.
     """
-    k = len(arms.signature(landmark).headings)
-    if k:
-        return float(recorded.noise.heading_sigma * np.sqrt(0.5 + 0.5 / k))
+    if arms.signature(landmark).headings:
+        return float(recorded.noise.heading_sigma / np.sqrt(2))
     if landmark.covariance is not None and landmark.covariance.shape == (3, 3):
         return float(np.sqrt(max(0.0, landmark.covariance[2, 2])))
     return float(recorded.noise.heading_sigma)
+
+
+def heading_is_joint(recorded: LandmarkMap, landmark: Landmark) -> bool:
+    """Whether the map's joint covariance gives this landmark's heading, errors of its arms included (row 8)."""
+    joint = recorded.joint_covariance
+    return joint is not None and joint.rows == 3 and landmark.id in joint.order
+
+
+def arms_variance(recorded: LandmarkMap, landmark: Landmark, used: int) -> float:
+    """Variance [rad^2] of a direction read off ``used`` of a landmark's k arms, beyond that of its rotation (row 2).
+
+    Each arm adds its own error: ``heading_sigma^2 / 2 / used``. Where a joint covariance gives the heading, the mean
+    error of all arms is in there already, and only the rest counts: ``heading_sigma^2 / 2 (1 / used - 1 / k)``.
+    """
+    k = len(arms.signature(landmark).headings)
+    if not used or not k:
+        return 0.0
+    rest = 1 / k if heading_is_joint(recorded, landmark) else 0.0
+    return float(recorded.noise.heading_sigma**2 / 2 * max(0.0, 1 / used - rest))
 
 
 def heading_measurements(

@@ -15,7 +15,6 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from mapfuse.datasets import arms
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 
@@ -182,8 +181,7 @@ def _displacement(
         along, across = noise.distance_sigma(d), d * noise.heading_sigma
         same_length = same_direction = shares
     else:
-        k = len(arms.signature(landmark).headings)
-        relative = noise.heading_sigma * np.sqrt((1 - 1 / k) / 2)
+        relative = noise.heading_sigma / np.sqrt(2)
         length, direction = d, link.heading
         along = noise.distance_sigma(d, link.travel_counter)
         across = d * max(float(relative), LEAST_DIRECTION_SIGMA)

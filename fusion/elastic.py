@@ -55,12 +55,12 @@ class ArmOverlay:
         plain = se2.wrap(m1.headings[:, None] - m2.headings[None, :] - rotation)
         bare = ~m1.has_arms[:, None] & ~m2.has_arms[None, :] & ~np.isnan(plain)
         shift = np.where(bare, plain, np.where(met > 0, shift, np.nan))
-        partial = 0.0
+        own = 0.0
         for m, axis in ((m1, 1), (m2, 0)):
-            arms = np.expand_dims((~np.isnan(m.arm_headings)).sum(axis=1), axis)
-            lacking = np.maximum(1 / np.maximum(met, 1) - 1 / np.maximum(arms, 1), 0)
-            partial = partial + m.map.noise.heading_sigma**2 / 2 * lacking
-        variance = np.where(np.isnan(shift), NO_HEADING_SIGMA**2, PLACE_SIGMA_RAD**2 + partial)
+            within = np.expand_dims(m.arms_in_covariance, axis)
+            own = own + m.map.noise.heading_sigma**2 / 2 * np.maximum(1 / np.maximum(met, 1) - within, 0)
+        own = np.where(bare, 0.0, own)
+        variance = np.where(np.isnan(shift), NO_HEADING_SIGMA**2, PLACE_SIGMA_RAD**2 + own)
         return cls(coincide, met - coincide, shift, variance)
 
 
@@ -166,7 +166,8 @@ class Joined:
     def T12_covariance(self) -> Array:
         """Posterior covariance of T12 (3, 3)."""
         S = np.diag(self.prior_sigma**2)
-        return S - S @ self.J.T @ cho_solve(self._factor, self.J @ S)
+        posterior: Array = S - S @ self.J.T @ cho_solve(self._factor, self.J @ S)
+        return (posterior + posterior.T) / 2
 
     def corrected(self) -> tuple[Array, Array]:
         """Posterior positions of both maps' landmarks in frame 1, (n1, 2) and (n2, 2): each map bent onto the other."""

@@ -146,11 +146,16 @@ def label(m: PreparedMap, k: int) -> str:
 
 
 def false_alarm(m: PreparedMap, k: int) -> float:
-    """Probability that a recorded landmark isn't there: the robot's rate to the power of the detections."""
+    """Probability that a recorded landmark isn't there: the robot's rate to the power of the detections.
+
+    Never quite 0 or 1, whatever the map states: no evidence is infinite.
+    """
     landmark = m.map.landmarks[k]
     if landmark.existence is not None:
-        return 1 - landmark.existence
-    return m.map.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
+        rate = 1 - landmark.existence
+    else:
+        rate = m.map.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
+    return min(max(rate, 1e-9), 1 - 1e-9)
 
 
 def _visits(joined: Joined) -> tuple[NDArray[np.intp], Array]:

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
-from .config import SolvingConfig
+from .config import SolvingConfig, chi2_gate
 from .elastic import NO_HEADING_SIGMA, ArmOverlay, Joined
 from .prepared import PreparedMap
 
@@ -96,7 +95,7 @@ def _associate(
     clutter = np.log(np.maximum(m1.local_density[i], m2.local_density[j]))
     gain = density - clutter - CONTRADICTION * joined.arms.contradict[i, j]
     dof = np.where(joined.arms.variance[i, j] < NO_HEADING_SIGMA**2, 3, 2)
-    passes = (gain > config.match_odds) & (d2 < chi2.ppf(config.gate_probability, dof))
+    passes = (gain > config.match_odds) & (d2 < chi2_gate(config.gate_probability, dof))
     if len(joined.i) <= 2:
         free = passes & ~np.isin(i, joined.i) & ~np.isin(j, joined.j)
         kept = np.flatnonzero(free)[_one_to_one(i[free], j[free], gain[free] - config.match_odds)]
@@ -111,7 +110,7 @@ def _prune(joined: Joined, config: SolvingConfig) -> Joined:
         innovation, V = joined.leave_one_out()
         _, d2 = _log_density(innovation, V)
         worst = int(np.argmax(d2))
-        if d2[worst] < chi2.ppf(config.gate_probability, 3):
+        if d2[worst] < chi2_gate(config.gate_probability, 3):
             break
         keep = np.arange(len(joined.i)) != worst
         joined = joined_at(joined, joined.T0, joined.i[keep], joined.j[keep])

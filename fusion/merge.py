@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable
+from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable, signature
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link
+
+from mapfuse.factors.heading import arms_variance
 
 from .result import FusedLandmark
 
@@ -98,10 +100,14 @@ def merged_landmarks(
     """
     name_of = {member: names[k] for k, place in enumerate(places) for member in place.members}
     average = np.zeros((3 * len(places), len(joint)))
+    joint = joint.copy()
     for k, place in enumerate(places):
         for member in place.members:
             block = 3 * covariance[member]
             average[3 * k : 3 * k + 3, block : block + 3] = np.eye(3) / len(place.members)
+            recorded, landmark = maps[member[0]], maps[member[0]].landmarks[member[1]]
+            arms = len(signature(landmark).headings)
+            joint[block + 2, block + 2] += arms_variance(recorded, landmark, arms)
     fused_joint = se2.propagate(average, joint)
     landmarks = tuple(
         _landmark(maps, place, poses, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group, name_of)

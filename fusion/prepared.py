@@ -18,6 +18,7 @@ from mapfuse.datasets.arms import heading_of, signature
 from mapfuse.datasets.errors import TooLargeError
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.factors import is_bent, single_map_problem
+from mapfuse.factors.heading import heading_is_joint
 
 from .config import SolvingConfig
 from .solve import solve
@@ -61,6 +62,13 @@ class PreparedMap:
         return ~np.isnan(self.arm_headings).all(axis=1)
 
     @cached_property
+    def arms_in_covariance(self) -> Array:
+        """1/k where the covariance of the heading holds the mean error of a landmark's k arms already, else 0; (n,)."""
+        inside = np.array([heading_is_joint(self.map, landmark) for landmark in self.map.landmarks], dtype=bool)
+        arms = (~np.isnan(self.arm_headings)).sum(axis=1)
+        return np.where(inside, 1 / np.maximum(arms, 1), 0.0)
+
+    @cached_property
     def corridor_length(self) -> float:
         """Length [m] of all straight, travelled links."""
         ends = self.positions[self.corridors]
@@ -91,7 +99,7 @@ class PreparedMap:
         """
         off, noise = [], self.map.noise
         for k, landmark in enumerate(self.map.landmarks):
-            shift = self.headings[k] - (heading_of(landmark) or 0.0)
+            shift = self.headings[k] - (heading_of(landmark) or 0.0) if self.headed[k] else 0.0
             for link in landmark.links:
                 if link.compass is not None and link.heading is not None:
                     off.append(link.heading + shift - link.compass)

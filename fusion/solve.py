@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, LinAlgError
 from scipy.sparse import csr_array
-from scipy.stats import chi2
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapfuseError, TooLargeError, UndeterminedError
 from mapfuse.datasets.transform import Transform
-from mapfuse.factors import Correspondence, FrameKey, LandmarkKey, Problem, Unknown
+from mapfuse.factors import Correspondence, FrameKey, Gauge, LandmarkKey, Problem, Unknown
 from mapfuse.factors.axes import pose_rotations
 
-from .config import SolvingConfig
+from .config import SolvingConfig, chi2_gate
 
 Array = NDArray[np.float64]
 log = logging.getLogger(__name__)
@@ -56,21 +55,28 @@ class Solution:
 
     @cached_property
     def _covariance(self) -> Array:
-        """Joint covariance of all unknowns in the axes of the merged frame, (3u, 3u)."""
+        """Joint covariance of all unknowns in the axes of the merged frame, (3u, 3u).
+
+        Given the frames that the gauge holds: what keeps the solver from floating is no uncertainty, and over the
+        lever from a map's coordinate origin to its landmarks it would grow to one.
+        """
         unknowns = len(self._order)
         if unknowns > MAX_UNKNOWNS:
             raise TooLargeError(f"joint covariance of {unknowns} poses; it is kept up to {MAX_UNKNOWNS}")
         linear = self.problem.graph().linearize(self.problem.values(self.poses))
         H = information(linear, 3 * unknowns)
+        held = {gauge.of for gauge in self.problem.of_kind(Gauge)}
+        free = np.repeat([unknown not in held for unknown in self._order], 3)
         try:
-            L = cholesky(H, lower=True)
+            L = cholesky(H[np.ix_(free, free)], lower=True)
         except LinAlgError:
             raise UndeterminedError("the measurements leave open where these are", self._open(H)) from None
         thetas = np.array([self.poses[unknown][2] for unknown in self._order])
         J = np.zeros((3 * unknowns, 3 * unknowns))
         blocks = np.arange(unknowns)
         J.reshape(unknowns, 3, unknowns, 3)[blocks, :, blocks, :] = pose_rotations(thetas)
-        covariance = J @ cho_solve((L, True), J.T)
+        covariance = np.zeros_like(H)
+        covariance[np.ix_(free, free)] = J[np.ix_(free, free)] @ cho_solve((L, True), J[np.ix_(free, free)].T)
         return (covariance + covariance.T) / 2
 
     def _open(self, H: Array) -> tuple[tuple[str, str], ...]:
@@ -205,7 +211,7 @@ def solve(problem: Problem, config: SolvingConfig) -> Solution:
         problem = problem.starting_at(poses).with_correspondences(m.unknowns for m in problem.of_kind(Correspondence))
     solution = _solved(problem)
     while matches := problem.of_kind(Correspondence):
-        excess = [left_out(solution, m) / chi2.ppf(config.gate_probability, m.dof) for m in matches]
+        excess = [left_out(solution, m) / chi2_gate(config.gate_probability, m.dof) for m in matches]
         worst = int(np.argmax(excess))
         if excess[worst] <= 1 or len(matches) < 3:
             break

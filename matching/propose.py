@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import chain, zip_longest
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from mapfuse.datasets.arms import heading_of
 from mapfuse.datasets.maps import LandmarkMap
@@ -17,7 +18,7 @@ from .hypothesis import Hypothesis
 from .modes import distinct_modes
 from .point_pairs import match_point_pairs
 
-#: Pairs tried times landmarks in map 2: what the default mode spends on proposals by headings (some seconds).
+#: Pairs tried times landmarks counted: what the default mode spends on proposals by headings (some seconds).
 MAX_TRIALS = 30_000_000
 
 
@@ -49,17 +50,20 @@ def propose(
 
 
 def _from_headings(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig) -> list[Hypothesis]:
-    """What single pairs of landmarks propose: all of them, or, in large maps, those of the rarest types of map 2.
+    """What single pairs of landmarks propose and count: all of them, or, in large maps, a part of map 2's landmarks.
 
-    A hypothesis needs one seed only, and any of the common landmarks will do.
+    A hypothesis needs one seed only, and any of the common landmarks will do. The part is that of the rarest types;
+    within a type by the distance to the nearest other landmark, so that it is spread over the whole map, which may
+    overlap anywhere, and is the same in whatever frame and order the map is written.
     """
     every_kind = replace(config, use_h2=False, use_compass=False)
-    frequency = Counter(map1.types)
-    rarest = sorted(range(len(map2)), key=lambda k: (frequency[map2.types[k]], map2.positions[k].tolist()))
-    budget, seeds = MAX_TRIALS // max(len(map2), 1), len(map2)
-    pairs = np.cumsum([frequency[map2.types[k]] for k in rarest])
-    if len(pairs) and pairs[-1] > budget:
-        seeds = max(1, int(np.searchsorted(pairs, budget)))
+    frequency, seeds = Counter(map1.types), len(map2)
+    if len(map1) * seeds**2 > MAX_TRIALS:
+        near = KDTree(map2.positions).query(map2.positions, k=[2])[0][:, 0].round(6)
+        at = map2.positions
+        rarest = sorted(range(seeds), key=lambda k: (frequency[map2.types[k]], -near[k], *at[k].tolist()))
+        trials = np.cumsum([frequency[map2.types[k]] for k in rarest]) * np.arange(1, seeds + 1)
+        seeds = max(1, int(np.searchsorted(trials, MAX_TRIALS, side="right")))
     chosen = map2 if seeds == len(map2) else _part(map2, sorted(rarest[:seeds]))
     return list(match_exhaustively(map1, chosen, every_kind).best(8 * config.max_hypotheses))
 
