@@ -25,6 +25,13 @@ class Correspondence(Between):
     """Landmarks ``a`` and ``b`` of two maps are one; ``measured[2]`` is the turn between their headings."""
 
     @property
+    def pair(self) -> tuple[LandmarkKey, LandmarkKey]:
+        """The two landmarks."""
+        assert isinstance(self.a, LandmarkKey)
+        assert isinstance(self.b, LandmarkKey)
+        return self.a, self.b
+
+    @property
     def has_heading(self) -> bool:
         """Whether it ties the two landmarks' rotations as well as their positions."""
         return self.noise.tt > 0
@@ -60,10 +67,9 @@ def arm_turn(
     own = [(m, n) for m, n in met if not (_travelled(landmark1, arms1, m) or _travelled(landmark2, arms2, n))]
     used, share = (own, 1.0) if own else (met, 2.0)
     off = [wrapped(arms1.headings[m] - h1 - (arms2.headings[n] - h2)) for m, n in used]
-    turn = off[0] + np.mean([wrapped(value - off[0]) for value in off])
+    turn = off[0] + sum(wrapped(value - off[0]) for value in off) / len(off)
     variance = sum(
-        arms_variance(recorded, landmark, len(used))
-        for recorded, landmark in ((map1, landmark1), (map2, landmark2))
+        arms_variance(recorded, landmark, len(used)) for recorded, landmark in ((map1, landmark1), (map2, landmark2))
     )
     return wrapped(turn), float(share * variance)
 
@@ -73,9 +79,7 @@ def _travelled(landmark: Landmark, signature: arms.ArmSignature, arm: int) -> bo
     return link.connected_to_id is not None and link.distance is not None
 
 
-def _one_to_one(
-    arms1: arms.ArmSignature, arms2: arms.ArmSignature, rotation: float
-) -> tuple[tuple[int, int], ...]:
+def _one_to_one(arms1: arms.ArmSignature, arms2: arms.ArmSignature, rotation: float) -> tuple[tuple[int, int], ...]:
     """Pairs of arms that meet, each arm of 1 with the nearest of 2 only."""
     nearest: dict[int, tuple[float, int]] = {}
     for m, n in arms.overlay(arms1, arms2, rotation).pairs:
@@ -101,9 +105,7 @@ def correspondence(
     turned = arm_turn(map1, landmark1, map2, landmark2, rotation)
     if turned is None:
         predicted = wrapped(rotation + (headings_of(map2)[b.id] or 0.0) - (headings_of(map1)[a.id] or 0.0))
-        return Correspondence(
-            a, b, (0.0, 0.0, predicted), PoseNoise.from_sigmas(SAME_PLACE, SAME_PLACE, np.inf), loss
-        )
+        return Correspondence(a, b, (0.0, 0.0, predicted), PoseNoise.from_sigmas(SAME_PLACE, SAME_PLACE, np.inf), loss)
     turn, variance = turned
     noise = PoseNoise.from_sigmas(SAME_PLACE, SAME_PLACE, float(np.sqrt(SAME_HEADING**2 + variance)))
     return Correspondence(a, b, (0.0, 0.0, turn), noise, loss)

@@ -111,9 +111,7 @@ def anchor(recorded: LandmarkMap, r: int, landmark: Landmark) -> FrameAnchor:
     """The recorded position of a landmark, with its own covariance where it has one, else ``position_sigma``."""
     h = headings_of(recorded)[landmark.id] or 0.0
     position = (
-        recorded.noise.position_sigma**2 * np.eye(2)
-        if landmark.covariance is None
-        else landmark.covariance[:2, :2]
+        recorded.noise.position_sigma**2 * np.eye(2) if landmark.covariance is None else landmark.covariance[:2, :2]
     )
     noise = PoseNoise.from_covariance(point_to_body(h, position), LOOSE_ROTATION)
     measured = (landmark.x, landmark.y, wrapped(h))

@@ -279,5 +279,3 @@ def _correspondences(
         rotation = float(se2.wrap(initial[FrameKey(b.map)][2] - initial[FrameKey(a.map)][2]))
         found.append(correspondence(maps[a.map], a, maps[b.map], b, rotation, loss))
     return found
-
-

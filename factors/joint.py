@@ -141,12 +141,7 @@ def joint_measurement(recorded: LandmarkMap, r: int) -> JointMeasurement | None:
     landmarks = [recorded[name] for name in joint.order]
     headings = [headings_of(recorded)[name] for name in joint.order]
     poses = np.array([(l.x, l.y, h or 0.0) for l, h in zip(landmarks, headings, strict=True)])
-    kept = [
-        (i, row)
-        for i, h in enumerate(headings)
-        for row in range(joint.rows)
-        if row < 2 or h is not None
-    ]
+    kept = [(i, row) for i, h in enumerate(headings) for row in range(joint.rows) if row < 2 or h is not None]
     rows = [i * joint.rows + row for i, row in kept]
     try:
         values, vectors = floored_eigen(joint.matrix[np.ix_(rows, rows)])

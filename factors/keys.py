@@ -65,9 +65,7 @@ class ByIdentity:
 
 def has_compass(recorded: LandmarkMap) -> bool:
     """Whether the map carries a compass reading of an arm whose heading is known."""
-    return any(
-        link.compass is not None and link.heading is not None for l in recorded.landmarks for link in l.links
-    )
+    return any(link.compass is not None and link.heading is not None for l in recorded.landmarks for link in l.links)
 
 
 class KeyBook:

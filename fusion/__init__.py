@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .config import FuseConfig
-    from .groups import fuse
     from .fusedfile import read_fused, write_fused
+    from .groups import fuse
     from .result import FusedMap
 
 __all__ = ["FuseConfig", "FusedMap", "fuse", "read_fused", "write_fused"]

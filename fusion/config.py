@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from mapfuse.datasets.errors import ConfigError
 from mapfuse.matching.config import MatchingConfig
 
 
-def chi2_gate(probability: float, dof: ArrayLike) -> NDArray[np.float64]:
+def chi2_gate(probability: float, dof: int | NDArray[np.intp]) -> NDArray[np.float64]:
     """Squared Mahalanobis distance that a right match stays below with this probability.
 
     >>> float(chi2_gate(0.999, 3).round(2))
     16.27
     """
-    return np.asarray(chdtri(dof, 1 - probability))
+    return np.asarray(chdtri(np.asarray(dof, dtype=float), 1 - probability))
 
 
 def _check(section: str, values: object, bounds: dict[str, tuple[float, float]]) -> None:

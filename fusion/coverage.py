@@ -33,7 +33,7 @@ class Segments:
     @property
     def length(self) -> Array:
         """Lengths (m,) [m]."""
-        return np.linalg.norm(self.end - self.start, axis=1)
+        return np.asarray(np.linalg.norm(self.end - self.start, axis=1))
 
     @property
     def direction(self) -> Array:
@@ -55,7 +55,7 @@ def passed(points: Array, segments: Segments, width: float) -> NDArray[np.bool_]
     along = np.einsum("psi,si->ps", offset, segments.direction)
     across = offset[..., 1] * segments.direction[:, 0] - offset[..., 0] * segments.direction[:, 1]
     inside = (along > END_MARGIN_M) & (along < segments.length - END_MARGIN_M)
-    return inside & (np.abs(across) < width)
+    return np.asarray(inside & (np.abs(across) < width))
 
 
 def overlap_length(segments1: Segments, segments2: Segments, width: float, angle: float) -> float:
@@ -112,7 +112,7 @@ class SeenArea:
         """Which points (k, 2) lie inside."""
         if not len(self.centres) or not len(points):
             return np.zeros(len(points), dtype=bool)
-        return cKDTree(self.centres).query(points)[0] < self.radius
+        return np.asarray(cKDTree(self.centres).query(points)[0] < self.radius)
 
     def moved(self, T12: Array) -> SeenArea:
         """The same area in frame 1, this map being map 2."""

@@ -1,4 +1,4 @@
-"""Merged, ambiguous, or no overlap: the posterior over all hypotheses and none, and the sentence that says why."""
+"""Merged, ambiguous, or no overlap: the posterior over all hypotheses and none."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ class Verdict:
     probabilities: Array
     no_overlap: float
     decision: PairDecision
-    reason: str
 
 
 def posterior(log_odds: Array, contradiction: Array, evidence: EvidenceConfig, overlap_prior: float) -> Array:
@@ -46,7 +45,7 @@ def posterior(log_odds: Array, contradiction: Array, evidence: EvidenceConfig, o
     none = float(np.log1p(-overlap_prior) - np.log(overlap_prior))
     everything = np.append(log_weight, none)
     weight = np.exp(everything - everything.max())
-    return weight / weight.sum()
+    return np.asarray(weight / weight.sum())
 
 
 def decide(weighed: list[Weighed], evidence: EvidenceConfig, config: DecisionConfig) -> Verdict:
@@ -58,42 +57,10 @@ def decide(weighed: list[Weighed], evidence: EvidenceConfig, config: DecisionCon
     ranked = tuple(weighed[k] for k in order)
     probabilities, none = everything[:-1][order], float(everything[-1])
     decision: PairDecision
-    if len(ranked) and probabilities[0] >= config.accept:
+    if ranked and probabilities[0] >= config.accept:
         decision = "merged"
-    elif none >= config.accept or not len(ranked):
+    elif none >= config.accept or not ranked:
         decision = "no_overlap"
     else:
         decision = "ambiguous"
-    return Verdict(ranked, probabilities, none, decision, _reason(ranked, probabilities, none, decision))
-
-
-def _names(w: Weighed) -> str:
-    """The landmarks that matched, a few by name."""
-    m1, m2 = w.growth.joined.m1.map, w.growth.joined.m2.map
-    pairs = [f"{m1.ids[i]}={m2.ids[j]}" for i, j in zip(w.growth.i, w.growth.j, strict=True)]
-    return ", ".join(pairs[:4]) + (", ..." if len(pairs) > 4 else "")
-
-
-def _against(w: Weighed) -> str:
-    m1, m2 = w.growth.joined.m1.map, w.growth.joined.m2.map
-    missed = [f"{m1.name}:{m1.ids[k]}" for k in w.missed1] + [f"{m2.name}:{m2.ids[k]}" for k in w.missed2]
-    if not missed:
-        return "nothing against"
-    more = ", ..." if len(missed) > 3 else ""
-    return f"{len(missed)} passed without being seen by the other robot ({', '.join(missed[:3])}{more}) against"
-
-
-def _reason(ranked: tuple[Weighed, ...], probabilities: Array, none: float, decision: PairDecision) -> str:
-    if not ranked:
-        return "no pair of landmarks proposes a transformation"
-    best = ranked[0]
-    text = f"{len(best.growth.i)} landmarks coincide ({_names(best)}), {_against(best)}; "
-    text += f"log odds against no overlap {best.log_odds:+.1f}"
-    if len(ranked) > 1:
-        gap = np.log(max(probabilities[0], 1e-300)) - np.log(max(probabilities[1], 1e-300))
-        text += f"; the nearest rival ({len(ranked[1].growth.i)} landmarks) is {gap:.1f} nats behind"
-    if decision == "ambiguous":
-        text = "not decided: " + text + f"; no overlap has {none:.3f}"
-    elif decision == "no_overlap":
-        text = "no overlap: of all placements the best one does not stand out: " + text
-    return text
+    return Verdict(ranked, probabilities, none, decision)

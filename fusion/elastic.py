@@ -1,8 +1,8 @@
 """Two maps joined at some landmarks as one Gaussian: what the matches so far say about every other pair.
 
 The residual of a pair k = (i, j) is ``r_k = p1_i - T12 p2_j`` with the difference of headings below it. Over pairs
-its covariance is ``P1[i, i'] + B P2[j, j'] B' + J S_T J' + [same pair] R`` (docs/evidence.md, "Elastic match"): the maps
-bend as their own covariances allow, and two pairs share the errors of both maps. T12 has a wide prior S_T.
+its covariance is ``P1[i, i'] + B P2[j, j'] B' + J S_T J' + [same pair] R`` (docs/evidence.md, "Elastic match"):
+the maps bend as their own covariances allow, and two pairs share the errors of both maps. T12 has a wide prior S_T.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from .prepared import PreparedMap
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-#: What two robots mean by the same place differs by this per axis [m] and in direction [rad] (measurement model, row 10).
+#: What two robots mean by the same place differs by this per axis [m] and in direction [rad] (measurement model,
+#: row 10).
 PLACE_SIGMA_M, PLACE_SIGMA_RAD = 0.05, 0.01
 #: Standard deviation [rad] that stands for "no heading to compare".
 NO_HEADING_SIGMA = 10.0
@@ -55,7 +56,7 @@ class ArmOverlay:
         plain = se2.wrap(m1.headings[:, None] - m2.headings[None, :] - rotation)
         bare = ~m1.has_arms[:, None] & ~m2.has_arms[None, :] & ~np.isnan(plain)
         shift = np.where(bare, plain, np.where(met > 0, shift, np.nan))
-        own = 0.0
+        own = np.zeros(met.shape)
         for m, axis in ((m1, 1), (m2, 0)):
             within = np.expand_dims(m.arms_in_covariance, axis)
             own = own + m.map.noise.heading_sigma**2 / 2 * np.maximum(1 / np.maximum(met, 1) - within, 0)
@@ -190,7 +191,7 @@ class Joined:
         own1 = self.m1.covariance.reshape(len(self.m1), 3, -1, 3)[i, :, i, :]
         own2 = B @ self.m2.covariance.reshape(len(self.m2), 3, -1, 3)[j, :, j, :] @ B.T
         V = own1 + own2 + _own_noise(self.arms, i, j) + J @ S @ np.swapaxes(J, 1, 2)
-        return innovation, V - X @ np.swapaxes(X, 1, 2)
+        return np.asarray(innovation), np.asarray(V - X @ np.swapaxes(X, 1, 2))
 
     def quick_innovation(self) -> Array:
         """Innovations in position of all pairs (n1, n2, 2), without their covariances."""
@@ -210,4 +211,4 @@ class Joined:
         k = len(self.i)
         z = solve_triangular(L, self.r, lower=True).reshape(k, 3)
         D = L.reshape(k, 3, k, 3)[np.arange(k), :, np.arange(k), :]
-        return (D @ z[..., None])[..., 0], D @ np.swapaxes(D, 1, 2)
+        return np.asarray((D @ z[..., None])[..., 0]), np.asarray(D @ np.swapaxes(D, 1, 2))

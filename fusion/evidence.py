@@ -5,10 +5,7 @@ Derivation and what each term buys: docs/evidence.md. The terms are kept apart s
 
 from __future__ import annotations
 
-import heapq
-from collections import Counter
 from dataclasses import dataclass, fields
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +15,13 @@ from mapfuse.datasets import se2
 from mapfuse.datasets.arms import Kind, signature
 from mapfuse.datasets.maps import DOOR
 
+from .background import Background, false_alarm, label
 from .config import EvidenceConfig
-from .coverage import SeenArea, Segments, overlap_length, passed
+from .coverage import Segments, overlap_length, passed
 from .elastic import ArmOverlay, Joined
 from .growth import PRIOR_SIGMA, Growth
 from .prepared import PreparedMap
+from .visits import visits
 
 Array = NDArray[np.float64]
 
@@ -63,8 +62,8 @@ class Weighed:
     """A grown hypothesis with its evidence.
 
     ``contradiction`` [nats]: what alone may tell apart two hypotheses that a repeating building makes alike: misses,
-    blocked arms and compass, as the odds of being the right place against being an alias of it. ``missed1``, ``missed2``: landmarks of
-    map 1, map 2 that the other robot passed without recording them.
+    blocked arms and compass, as the odds of being the right place against being an alias of it. ``missed1``,
+    ``missed2``: landmarks of map 1, map 2 that the other robot passed without recording them.
     """
 
     growth: Growth
@@ -77,148 +76,6 @@ class Weighed:
     def log_odds(self) -> float:
         """Log odds against no overlap [nats], before the overlap prior."""
         return self.terms.total
-
-
-@dataclass(frozen=True, eq=False)
-class Background:
-    """How common landmarks are along the corridors (or per area), from both maps together.
-
-    ``true_rate``: landmarks of a label that are really there, per metre of corridor (per m^2 for point landmarks).
-    """
-
-    m1: PreparedMap
-    m2: PreparedMap
-
-    @cached_property
-    def points1(self) -> NDArray[np.bool_]:
-        """Which landmarks of map 1 are point landmarks."""
-        return _point_like(self.m1)
-
-    @cached_property
-    def points2(self) -> NDArray[np.bool_]:
-        """Which landmarks of map 2 are point landmarks."""
-        return _point_like(self.m2)
-
-    @cached_property
-    def area1(self) -> SeenArea:
-        """Where robot 1 would have seen point landmarks."""
-        return SeenArea.of(self.m1, np.flatnonzero(self.points1))
-
-    @cached_property
-    def area2(self) -> SeenArea:
-        """Where robot 2 would have seen point landmarks."""
-        return SeenArea.of(self.m2, np.flatnonzero(self.points2))
-
-    @cached_property
-    def rate(self) -> dict[str, float]:
-        """True landmarks per metre of corridor, by label (see `label`)."""
-        length = self.m1.corridor_length + self.m2.corridor_length
-        return self._rates(~self.points1, ~self.points2, max(length, 1.0))
-
-    @cached_property
-    def area_rate(self) -> dict[str, float]:
-        """True point landmarks per square metre, by label."""
-        area = self.area1.area() + self.area2.area()
-        return self._rates(self.points1, self.points2, max(area, 1.0))
-
-    def rate_of(self, m: PreparedMap, k: int) -> float:
-        """True landmarks like landmark ``k`` of one of the two maps: per metre of corridor, or per m^2 for points."""
-        point = self.points1[k] if m is self.m1 else self.points2[k]
-        return (self.area_rate if point else self.rate)[label(m, k)]
-
-    def _rates(self, of1: NDArray[np.bool_], of2: NDArray[np.bool_], extent: float) -> dict[str, float]:
-        expected: Counter[str] = Counter()
-        for m, chosen in ((self.m1, of1), (self.m2, of2)):
-            for k in np.flatnonzero(chosen):
-                expected[label(m, k)] += (1 - false_alarm(m, k)) / max(m.map.noise.detection(m.map.types[k]), 1e-3)
-        return {name: count / extent for name, count in expected.items()}
-
-
-def _point_like(m: PreparedMap) -> NDArray[np.bool_]:
-    """Landmarks that stand in the open rather than on a corridor: without arms and without links."""
-    linked = {k for pair in m.corridors.tolist() for k in pair}
-    return np.array([not m.has_arms[k] and k not in linked for k in range(len(m))], dtype=bool)
-
-
-def label(m: PreparedMap, k: int) -> str:
-    """What a landmark is compared by."""
-    return m.map.types[k]
-
-
-def false_alarm(m: PreparedMap, k: int) -> float:
-    """Probability that a recorded landmark isn't there: the robot's rate to the power of the detections.
-
-    Never quite 0 or 1, whatever the map states: no evidence is infinite.
-    """
-    landmark = m.map.landmarks[k]
-    if landmark.existence is not None:
-        rate = 1 - landmark.existence
-    else:
-        rate = m.map.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
-    return min(max(rate, 1e-9), 1 - 1e-9)
-
-
-def _visits(joined: Joined) -> tuple[NDArray[np.intp], Array]:
-    """Order in which matched pairs are come upon along the corridors, and the corridor direction each is come by.
-
-    Returns places in ``joined.i`` (k,) and unit vectors in frame 1 (k, 2); of the first one the direction is NaN.
-    """
-    m = joined.m1
-    place = {int(i): k for k, i in enumerate(joined.i)}
-    neighbours: dict[int, list[int]] = {}
-    for a, b in m.corridors.tolist():
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-    p = m.positions
-    order: list[int] = []
-    directions: list[Array] = []
-    remaining = dict(place)
-    while remaining:
-        first = min(remaining, key=lambda i: _seed_rank(joined, remaining[i], order))
-        queue: list[tuple[float, int, int]] = [(0.0, first, -1)]
-        done: set[int] = set()
-        while queue:
-            distance, node, before = heapq.heappop(queue)
-            if node in done:
-                continue
-            done.add(node)
-            if node in remaining:
-                order.append(remaining.pop(node))
-                directions.append(_arrival(joined, order, node, before))
-                distance = 0.0
-            for other in neighbours.get(node, []):
-                if other not in done:
-                    step = float(np.linalg.norm(p[other] - p[node]))
-                    heapq.heappush(queue, (distance + step, other, node))
-    return np.array(order, dtype=np.intp), np.array(directions).reshape(-1, 2)
-
-
-def _seed_rank(joined: Joined, k: int, order: list[int]) -> tuple[float, ...]:
-    """Which matched landmark to begin a stretch of corridor with: near what is matched, then the best known."""
-    p = joined.m1.positions
-    if not order:
-        centre = p[joined.i].mean(axis=0)
-        return (float(np.linalg.norm(p[joined.i[k]] - centre)),)
-    return (float(np.linalg.norm(p[joined.i[order]] - p[joined.i[k]], axis=1).min()),)
-
-
-def _arrival(joined: Joined, order: list[int], node: int, before: int) -> Array:
-    """Direction of the corridor by which ``node`` was reached."""
-    p = joined.m1.positions
-    if before >= 0:
-        step = p[node] - p[before]
-        length = float(np.hypot(*step))
-        if length > 0.5:
-            return step / length
-    if len(order) < 2:
-        return np.full(2, np.nan)
-    arms = joined.m1.arm_headings[node][joined.m1.arm_passable[node]]
-    if not len(arms):
-        return np.full(2, np.nan)
-    nearest = min(order[:-1], key=lambda k: float(np.linalg.norm(p[joined.i[k]] - p[node])))
-    step = p[node] - p[joined.i[nearest]]
-    ways = np.column_stack([np.cos(arms), np.sin(arms)])
-    return ways[int(np.argmax(np.abs(ways @ step)))]
 
 
 def _normal_log(x: float, variance: float) -> float:
@@ -236,7 +93,7 @@ def _corridor_matches(joined: Joined, background: Background, arms: ArmOverlay) 
     corridor = np.flatnonzero(~background.points1[joined.i] & ~background.points2[joined.j])
     if not len(corridor):
         return 0.0
-    order, directions = _visits(_subset(joined, corridor))
+    order, directions = visits(_subset(joined, corridor))
     sub = _subset(joined, corridor[order])
     innovation, V = sub.sequential()
     total = 0.0
@@ -254,9 +111,7 @@ def _corridor_matches(joined: Joined, background: Background, arms: ArmOverlay) 
 
 
 def _subset(joined: Joined, which: NDArray[np.intp]) -> Joined:
-    return Joined(
-        joined.m1, joined.m2, joined.T0, joined.arms, joined.i[which], joined.j[which], joined.prior_sigma
-    )
+    return Joined(joined.m1, joined.m2, joined.T0, joined.arms, joined.i[which], joined.j[which], joined.prior_sigma)
 
 
 def _point_matches(joined: Joined, background: Background) -> float:
@@ -357,8 +212,8 @@ def _alias(hits: Array, misses: Array) -> float:
     """log P(what was seen | an alias of the right place) - log P(... | the right place) [nats].
 
     ``hits``, ``misses``: probability q that a landmark there is recorded, for those that were and those that weren't.
-    A repeating building has at the alias all the landmarks (half of the prior), or lacks a share of them (the other half,
-    `LACKING`). An excellent agreement therefore never counts for more than log 2 against an alias: only what is
+    A repeating building has at the alias all the landmarks (half of the prior), or lacks a share of them (the other
+    half, `LACKING`). An excellent agreement therefore never counts for more than log 2 against an alias: only what is
     missing tells.
     """
     if not len(hits) and not len(misses):
@@ -388,11 +243,12 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     elif len(joined.i):
         prior += _point_prior(background)
     spatial = sum(m1.map.types[i] != DOOR for i in joined.i[corridor])
-    void = sum(
-        rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.rate.items()
-    ) * way.corridor_overlap + sum(
-        rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.area_rate.items()
-    ) * way.area_overlap
+    void = (
+        sum(rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.rate.items())
+        * way.corridor_overlap
+        + sum(rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.area_rate.items())
+        * way.area_overlap
+    )
     contradict = int(joined.arms.contradict[joined.i, joined.j].sum()) + way.blocked
     per_arm = float(np.log(config.arm_error_rate / 0.5))
     misses = sum(_miss(m1, k, m2) for k in way.missed1) + sum(_miss(m2, k, m1) for k in way.missed2)

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .evidence import false_alarm
+from .background import false_alarm
 from .prepared import PreparedMap
 
 #: Corridor [m] within which a second robot's false alarm would be taken for the same landmark.
 MATCH_LENGTH_M = 1.0
 
 
-def existence(
-    seen: Sequence[tuple[PreparedMap, int]], passed_by: Sequence[PreparedMap], rate: float
-) -> float:
+def existence(seen: Sequence[tuple[PreparedMap, int]], passed_by: Sequence[PreparedMap], rate: float) -> float:
     """Probability that a landmark is there.
 
     ``seen``: the maps it is in, with its place there; ``passed_by``: maps whose robot passed and recorded nothing;

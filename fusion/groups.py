@@ -25,6 +25,7 @@ from .existence import existence
 from .merge import Place, merged_landmarks
 from .pair import PairOutcome, fuse_pair
 from .prepared import PreparedMap, prepare
+from .reason import reason
 from .result import Frame, FusedLandmark, FusedMap, PairResult, RankedHypothesis
 from .solve import Solution, solve
 
@@ -167,7 +168,7 @@ def _pair_result(outcome: PairOutcome, swapped: bool) -> PairResult:
         no_overlap_probability=verdict.no_overlap,
         hypotheses=hypotheses,
         correspondences=_correspondences(verdict.ranked[0], swapped) if hypotheses else (),
-        reason=verdict.reason,
+        reason=reason(verdict, swapped),
         mixture_covariance=_mixture(transforms, verdict.probabilities) if hypotheses else None,
     )
 
@@ -207,9 +208,7 @@ def _merged(outcome: PairOutcome, swapped: bool, config: FuseConfig) -> _Group:
     block = {(key.map, maps[key.map].index_from_id[key.id]): n for n, key in enumerate(keys)}
     names = [f"m{k + 1}" for k in range(len(places))]
     poses = [solution.landmark_poses(0), solution.landmark_poses(1)]
-    landmarks, joint = merged_landmarks(
-        maps, places, poses, block, solution.joint_covariance(keys), 0, names
-    )
+    landmarks, joint = merged_landmarks(maps, places, poses, block, solution.joint_covariance(keys), 0, names)
     return _Group((maps[0].name, maps[1].name), landmarks, joint)
 
 

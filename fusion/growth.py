@@ -46,7 +46,7 @@ class Growth:
 
 def compatible(m1: PreparedMap, m2: PreparedMap) -> NDArray[np.bool_]:
     """Pairs of landmarks that may be the same: equal types (H1), (n1, n2)."""
-    return np.array(m1.map.types)[:, None] == np.array(m2.map.types)[None, :]
+    return np.asarray(np.array(m1.map.types)[:, None] == np.array(m2.map.types)[None, :])
 
 
 def _one_to_one(i: Index, j: Index, gain: Array) -> NDArray[np.bool_]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable, signature
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link
-
 from mapfuse.factors.heading import arms_variance
 
 from .result import FusedLandmark
@@ -37,7 +36,8 @@ def _turned(landmark: Landmark, heading: float) -> float:
 
 def _joined_link(a: Link, b: Link, weight_b: float) -> Link:
     """One link from two records of it: counters added, distances and readings averaged by travels."""
-    assert a.heading is not None and b.heading is not None
+    assert a.heading is not None
+    assert b.heading is not None
     travels = a.travel_counter + b.travel_counter
     same_way = a.connected_to_id == b.connected_to_id
     one = a if a.connected_to_id is not None or b.connected_to_id is None else b
@@ -114,10 +114,9 @@ def merged_landmarks(
         for k, place in enumerate(places)
     )
     rows = 3 if all(landmark.heading is not None for landmark in landmarks) else 2
-    kept = np.concatenate([np.arange(3 * k, 3 * k + rows) for k in range(len(places))]) if places else []
+    kept = np.array([3 * k + row for k in range(len(places)) for row in range(rows)], dtype=np.intp)
     order = tuple(landmark.id for landmark in landmarks)
-    matrix = fused_joint[np.ix_(kept, kept)] if len(order) else np.zeros((0, 0))
-    return landmarks, JointCovariance(order, rows, matrix)
+    return landmarks, JointCovariance(order, rows, fused_joint[np.ix_(kept, kept)])
 
 
 def _landmark(
@@ -168,9 +167,7 @@ def _landmark(
     )
 
 
-def _target(
-    map_: LandmarkMap, r: int, link: Link, name_of: Mapping[Member, str], own: str
-) -> str | None:
+def _target(map_: LandmarkMap, r: int, link: Link, name_of: Mapping[Member, str], own: str) -> str | None:
     other = map_.index_from_id.get(link.connected_to_id or "")
     if other is None:
         return None

@@ -15,9 +15,10 @@ from mapfuse.matching.hypothesis import Hypothesis
 from mapfuse.matching.modes import displacement
 from mapfuse.matching.propose import propose
 
+from .background import Background
 from .config import FuseConfig, SolvingConfig
 from .decide import Verdict, decide
-from .evidence import Background, Weighed, weigh
+from .evidence import Weighed, weigh
 from .growth import Growth, compatible, grow, joined_at
 from .prepared import PreparedMap
 from .solve import Solution, solve
@@ -112,11 +113,9 @@ def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Wei
     m1, m2 = joined.m1, joined.m2
     matches = [(m1.map.ids[i], m2.map.ids[j]) for i, j in zip(joined.i, joined.j, strict=True)]
     starts = tuple(np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in (m1, m2))
-    solution = solve(
-        pair_problem(m1.map, m2.map, joined.T12, matches, starts=(starts[0], starts[1])), config.solving
-    )
+    solution = solve(pair_problem(m1.map, m2.map, joined.T12, matches, starts=(starts[0], starts[1])), config.solving)
     if solution.rejected:
-        gone = {(u.a.id, u.b.id) for u in solution.rejected}
+        gone = {tuple(key.id for key in match.pair) for match in solution.rejected}
         keep = np.array([match not in gone for match in matches], dtype=bool)
         if keep.any():
             growth = Growth(joined_at(joined, joined.T12, joined.i[keep], joined.j[keep]), w.growth.rounds)

@@ -59,7 +59,7 @@ class PreparedMap:
     @cached_property
     def has_arms(self) -> NDArray[np.bool_]:
         """Which landmarks have arms whose direction is known (n,)."""
-        return ~np.isnan(self.arm_headings).all(axis=1)
+        return np.asarray(~np.isnan(self.arm_headings).all(axis=1))
 
     @cached_property
     def arms_in_covariance(self) -> Array:
@@ -87,8 +87,9 @@ class PreparedMap:
             if k < 1:
                 density[of_label] = 1 / widest
                 continue
-            distance, _ = cKDTree(self.positions[of_label]).query(self.positions[of_label], k=[k + 1])
-            density[of_label] = k / np.maximum(np.pi * distance[:, 0] ** 2, k * 0.05)
+            found = cKDTree(self.positions[of_label]).query(self.positions[of_label], k=[k + 1])[0]
+            distance = np.asarray(found)[:, 0]
+            density[of_label] = k / np.maximum(np.pi * distance**2, k * 0.05)
         return np.maximum(density, 1 / widest)
 
     @cached_property

@@ -11,7 +11,7 @@ from typing import Any
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, LinAlgError
+from scipy.linalg import LinAlgError, cho_solve, cholesky
 from scipy.sparse import csr_array
 
 from mapfuse.datasets import se2
@@ -92,8 +92,8 @@ class Solution:
 
         Raises `UndeterminedError` naming the landmarks that the measurements leave open.
         """
-        columns = np.concatenate([np.arange(3) + 3 * self._order[u] for u in unknowns]) if len(unknowns) else []
-        return self._covariance[np.ix_(columns, columns)] if len(unknowns) else np.zeros((0, 0))
+        columns = np.array([3 * self._order[u] + row for u in unknowns for row in range(3)], dtype=np.intp)
+        return self._covariance[np.ix_(columns, columns)]
 
     def covariance(self, a: Unknown, b: Unknown | None = None) -> Array:
         """Covariance (3, 3) of an unknown, or cross covariance of two; axes of the merged frame."""
@@ -208,7 +208,7 @@ def solve(problem: Problem, config: SolvingConfig) -> Solution:
     rejected: list[Correspondence] = []
     if any(m.loss is not None for m in problem.of_kind(Correspondence)):
         poses, _ = _optimise(problem, exact=False)
-        problem = problem.starting_at(poses).with_correspondences(m.unknowns for m in problem.of_kind(Correspondence))
+        problem = problem.starting_at(poses).with_correspondences(m.pair for m in problem.of_kind(Correspondence))
     solution = _solved(problem)
     while matches := problem.of_kind(Correspondence):
         excess = [left_out(solution, m) / chi2_gate(config.gate_probability, m.dof) for m in matches]

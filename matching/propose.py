@@ -12,19 +12,19 @@ from scipy.spatial import KDTree
 from mapfuse.datasets.arms import heading_of
 from mapfuse.datasets.maps import LandmarkMap
 
+from .assignment import PointGrid
 from .config import MatchingConfig
 from .exhaustive import match_exhaustively
 from .hypothesis import Hypothesis
 from .modes import distinct_modes
 from .point_pairs import match_point_pairs
 
-#: Pairs tried times landmarks counted: what the default mode spends on proposals by headings (some seconds).
+#: Pairs tried times landmarks counted, times those that crowd around one: what the default mode spends on proposals
+#: by headings (some seconds).
 MAX_TRIALS = 30_000_000
 
 
-def propose(
-    map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig | None = None
-) -> list[Hypothesis]:
+def propose(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig | None = None) -> list[Hypothesis]:
     """Hypotheses of the transformation of map 2 into map 1, best first; empty where no landmarks can correspond.
 
     Paper mode is the exact, exhaustive matcher. The default mode lets doors propose as well and leaves the compass
@@ -58,12 +58,13 @@ def _from_headings(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig)
     """
     every_kind = replace(config, use_h2=False, use_compass=False)
     frequency, seeds = Counter(map1.types), len(map2)
-    if len(map1) * seeds**2 > MAX_TRIALS:
-        near = KDTree(map2.positions).query(map2.positions, k=[2])[0][:, 0].round(6)
+    budget = MAX_TRIALS / max(PointGrid(map1.positions, config.tolerance_m).crowding, 1)
+    if len(map1) * seeds**2 > budget:
         at = map2.positions
+        near = np.asarray(KDTree(at).query(at, k=[2])[0])[:, 0].round(6)
         rarest = sorted(range(seeds), key=lambda k: (frequency[map2.types[k]], -near[k], *at[k].tolist()))
         trials = np.cumsum([frequency[map2.types[k]] for k in rarest]) * np.arange(1, seeds + 1)
-        seeds = max(1, int(np.searchsorted(trials, MAX_TRIALS, side="right")))
+        seeds = max(1, int(np.searchsorted(trials, budget, side="right")))
     chosen = map2 if seeds == len(map2) else _part(map2, sorted(rarest[:seeds]))
     return list(match_exhaustively(map1, chosen, every_kind).best(8 * config.max_hypotheses))
 

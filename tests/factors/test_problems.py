@@ -127,9 +127,10 @@ def test_three_maps_in_one_problem_with_any_of_them_as_reference():
 
 def noisy_pair(seed=3):
     pose1, pose2 = np.array([3.0, -7.0, 2.0]), np.array([-4.0, 2.0, -2.5])
-    maps = [true_map(n, pose, jitter=0.05, rng=np.random.default_rng((seed, k))) for k, (n, pose) in enumerate(
-        zip(("m1", "m2"), (pose1, pose2), strict=True)
-    )]
+    maps = [
+        true_map(n, pose, jitter=0.05, rng=np.random.default_rng((seed, k)))
+        for k, (n, pose) in enumerate(zip(("m1", "m2"), (pose1, pose2), strict=True))
+    ]
     return maps[0], maps[1], se2.between(pose1, pose2)
 
 

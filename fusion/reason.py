@@ -1,0 +1,65 @@
+"""One sentence that says what decided: what speaks for the best hypothesis, what against, and how near its rival is."""
+
+from __future__ import annotations
+
+import math
+
+from .decide import Verdict
+from .evidence import Weighed
+
+#: Landmarks that a reason names before it says "and so many more".
+NAMED = 4
+
+
+def reason(verdict: Verdict, swapped: bool) -> str:
+    """Why a pair of maps was decided as it was; ``swapped``: name map 2's landmarks before map 1's."""
+    if not verdict.ranked:
+        return "no landmarks of the two maps can be the same: no transformation is proposed"
+    best = verdict.ranked[0]
+    evidence = f"{_matches(best, swapped)}; {_misses(best)}; {best.log_odds:+.1f} nats against no overlap"
+    rival = _rival(verdict)
+    if verdict.decision == "merged":
+        return f"{evidence}{rival}"
+    if verdict.decision == "ambiguous":
+        return (
+            f"not decided, no overlap still has {_chance(verdict.no_overlap)}: the best placement has {evidence}{rival}"
+        )
+    return f"no placement stands out; the best one has {evidence}"
+
+
+def _chance(probability: float) -> str:
+    return "less than 0.0001" if probability < 1e-4 else f"{probability:.4f}"
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
+
+
+def _matches(w: Weighed, swapped: bool) -> str:
+    ids1, ids2 = w.growth.joined.m1.map.ids, w.growth.joined.m2.map.ids
+    pairs = [(ids1[i], ids2[j]) for i, j in zip(w.growth.i, w.growth.j, strict=True)]
+    names = sorted(f"{b}={a}" if swapped else f"{a}={b}" for a, b in pairs)
+    return f"{len(names)} common landmark{'s' if len(names) != 1 else ''} ({_listed(names)})"
+
+
+def _misses(w: Weighed) -> str:
+    m1, m2 = w.growth.joined.m1.map, w.growth.joined.m2.map
+    names = [f"{m1.name}:{m1.ids[k]}" for k in w.missed1] + [f"{m2.name}:{m2.ids[k]}" for k in w.missed2]
+    if not names:
+        return "none that a robot passed without recording it"
+    them = "it" if len(names) == 1 else "them"
+    return f"{len(names)} that the other robot passed without recording {them} ({_listed(sorted(names))})"
+
+
+def _rival(verdict: Verdict) -> str:
+    if len(verdict.ranked) < 2:
+        return ""
+    first, second = (max(float(p), 1e-300) for p in verdict.probabilities[:2])
+    count = len(verdict.ranked[1].growth.i)
+    gap = math.log(first / second)
+    if gap < 0.05:
+        return f"; a rival with {count} common landmarks is as probable"
+    return (
+        f"; the nearest rival, with {count} common landmark{'s' if count != 1 else ''}, is {gap:.1f} nats less probable"
+    )
