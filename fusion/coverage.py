@@ -58,30 +58,43 @@ def passed(points: Array, segments: Segments, width: float) -> NDArray[np.bool_]
     return np.asarray(inside & (np.abs(across) < width))
 
 
-def overlap_length(segments1: Segments, segments2: Segments, width: float, angle: float) -> float:
+def overlap_length(
+    segments1: Segments, segments2: Segments, width: float, angle: float, end_margin: float = 0.0
+) -> float:
     """Length [m] of corridor that both travelled: parallel within ``angle`` [rad], within ``width`` [m] across.
 
-    Symmetric: the mean of what map 1's links cover of map 2's and the reverse.
+    Symmetric: the mean of what map 1's links cover of map 2's and the reverse. ``end_margin`` [m]: what the covering
+    link doesn't cover at either end, as in `passed`.
     """
+    return (
+        _covered(segments1, segments2, width, angle, end_margin)
+        + _covered(segments2, segments1, width, angle, end_margin)
+    ) / 2
 
-    def covered(a: Segments, b: Segments) -> float:
-        if not len(a) or not len(b):
-            return 0.0
-        parallel = np.abs(a.direction @ b.direction.T) > np.cos(angle)
-        to_start = a.start[:, None] - b.start[None]
-        to_end = a.end[:, None] - b.start[None]
-        s = np.einsum("abi,bi->ab", to_start, b.direction)
-        e = np.einsum("abi,bi->ab", to_end, b.direction)
-        cross_s = to_start[..., 1] * b.direction[:, 0] - to_start[..., 0] * b.direction[:, 1]
-        cross_e = to_end[..., 1] * b.direction[:, 0] - to_end[..., 0] * b.direction[:, 1]
-        low, high = np.minimum(s, e), np.maximum(s, e)
-        inside = np.clip(np.minimum(high, b.length) - np.maximum(low, 0), 0, None)
-        middle = (np.clip(low, 0, b.length) + np.clip(high, 0, b.length)) / 2
-        share = np.where(np.abs(e - s) > 1e-9, (middle - s) / np.where(e == s, 1, e - s), 0.5)
-        across = np.abs(cross_s + share * (cross_e - cross_s))
-        return float(np.where(parallel & (across < width), inside, 0).max(axis=1).clip(0, a.length).sum())
 
-    return (covered(segments1, segments2) + covered(segments2, segments1)) / 2
+def _covered(a: Segments, b: Segments, width: float, angle: float, end_margin: float) -> float:
+    """Length [m] of the segments ``a`` that lies alongside one of ``b``."""
+    if not len(a) or not len(b):
+        return 0.0
+    cosine = a.direction @ b.direction.T
+    to_start, to_end = b.start[None] - a.start[:, None], b.end[None] - a.start[:, None]
+    s, e = (np.einsum("abi,ai->ab", to, a.direction) for to in (to_start, to_end))
+    margin = end_margin * np.abs(cosine)
+    low, high = np.minimum(s, e) + margin, np.maximum(s, e) - margin
+    low, high = np.clip(low, 0, a.length[:, None]), np.clip(high, 0, a.length[:, None])
+    # across at the middle of the stretch that lies alongside
+    share = np.where(np.abs(e - s) > 1e-9, ((low + high) / 2 - s) / np.where(np.abs(e - s) > 1e-9, e - s, 1), 0.5)
+    middle = to_start + share[..., None] * (to_end - to_start)
+    across = np.abs(middle[..., 1] * a.direction[:, None, 0] - middle[..., 0] * a.direction[:, None, 1])
+    alongside = (np.abs(cosine) > np.cos(angle)) & (across < width) & (high > low)
+    return sum(_union(low[k, alongside[k]], high[k, alongside[k]]) for k in np.flatnonzero(alongside.any(axis=1)))
+
+
+def _union(low: Array, high: Array) -> float:
+    """Length of the union of intervals."""
+    order = np.argsort(low)
+    reach = np.maximum.accumulate(np.concatenate([[-np.inf], high[order]]))
+    return float(np.clip(high[order] - np.maximum(low[order], reach[:-1]), 0, None).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,16 +51,21 @@ class ArmOverlay:
         same = m1.arm_passable[:, None, :, None] == m2.arm_passable[None, :, None, :]
         met = meets.sum(axis=(2, 3))
         coincide = (meets & same).sum(axis=(2, 3))
+        # as in factors.correspondence: a travelled arm's error is in its link, and counts where there is no other
+        standing = meets & ~m1.arm_travelled[:, None, :, None] & ~m2.arm_travelled[None, :, None, :]
+        only_travelled = np.asarray(~standing.any(axis=(2, 3)))
+        used = np.where(only_travelled[:, :, None, None], meets, standing)
+        n_used = used.sum(axis=(2, 3))
         with np.errstate(invalid="ignore"):
-            shift = np.where(meets, off, 0).sum(axis=(2, 3)) / met
+            shift = np.where(used, off, 0).sum(axis=(2, 3)) / n_used
         plain = se2.wrap(m1.headings[:, None] - m2.headings[None, :] - rotation)
         bare = ~m1.has_arms[:, None] & ~m2.has_arms[None, :] & ~np.isnan(plain)
         shift = np.where(bare, plain, np.where(met > 0, shift, np.nan))
         own = np.zeros(met.shape)
         for m, axis in ((m1, 1), (m2, 0)):
             within = np.expand_dims(m.arms_in_covariance, axis)
-            own = own + m.map.noise.heading_sigma**2 / 2 * np.maximum(1 / np.maximum(met, 1) - within, 0)
-        own = np.where(bare, 0.0, own)
+            own = own + m.map.noise.heading_sigma**2 / 2 * np.maximum(1 / np.maximum(n_used, 1) - within, 0)
+        own = np.where(bare, 0.0, np.where(only_travelled, 2 * own, own))
         variance = np.where(np.isnan(shift), NO_HEADING_SIGMA**2, PLACE_SIGMA_RAD**2 + own)
         return cls(coincide, met - coincide, shift, variance)
 
@@ -203,7 +208,7 @@ class Joined:
         k = len(self.i)
         Q = cho_solve(self._factor, np.eye(3 * k)).reshape(k, 3, k, 3)[np.arange(k), :, np.arange(k), :]
         V = np.linalg.inv(Q)
-        return (V @ self.weights.reshape(k, 3, 1))[..., 0], V
+        return np.asarray((V @ self.weights.reshape(k, 3, 1))[..., 0]), np.asarray(V)
 
     def sequential(self) -> tuple[Array, Array]:
         """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it, T12's prior included."""

@@ -17,7 +17,7 @@ from mapfuse.datasets.maps import DOOR
 
 from .background import Background, false_alarm, label
 from .config import EvidenceConfig
-from .coverage import Segments, overlap_length, passed
+from .coverage import END_MARGIN_M, Segments, overlap_length, passed
 from .elastic import ArmOverlay, Joined
 from .growth import PRIOR_SIGMA, Growth
 from .prepared import PreparedMap
@@ -150,12 +150,17 @@ def _detected(m: PreparedMap, type_: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Passing:
-    """Who passed what: places of unmatched landmarks that the other robot passed, and blocked arms driven through."""
+    """Who passed what: places of unmatched landmarks that the other robot passed, and blocked arms driven through.
+
+    ``corridor_overlap`` [m]: corridor that both travelled; ``void_overlap`` [m]: the part of it where a landmark would
+    count as passed, which is not at the ends of links; ``area_overlap`` [m^2]: where both would have seen points.
+    """
 
     missed1: NDArray[np.intp]
     missed2: NDArray[np.intp]
     blocked: int
     corridor_overlap: float
+    void_overlap: float
     area_overlap: float
 
 
@@ -190,8 +195,9 @@ def passing(growth: Growth, background: Background, config: EvidenceConfig) -> P
     missed1 = np.flatnonzero(free1 & ((by2.any(axis=1) & ~background.points1) | in2))
     missed2 = np.flatnonzero(free2 & ((by1.any(axis=1) & ~background.points2) | in1))
     overlap = overlap_length(s1, s2, config.corridor_width_m, angle)
+    between_ends = overlap_length(s1, s2, config.corridor_width_m, angle, END_MARGIN_M)
     area = background.area1.area(background.area2.moved(joined.T12)) if background.area_rate else 0.0
-    return Passing(missed1, missed2, blocked, overlap, area)
+    return Passing(missed1, missed2, blocked, overlap, between_ends, area)
 
 
 def _miss(m: PreparedMap, k: int, other: PreparedMap) -> float:
@@ -245,7 +251,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     spatial = sum(m1.map.types[i] != DOOR for i in joined.i[corridor])
     void = (
         sum(rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.rate.items())
-        * way.corridor_overlap
+        * way.void_overlap
         + sum(rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.area_rate.items())
         * way.area_overlap
     )

@@ -37,7 +37,7 @@ class PreparedMap:
 
     ``positions`` (n, 2) [m] and ``headings`` (n,) [rad, NaN without] in the map's frame; ``covariance`` (3n, 3n) over
     (x, y, heading) of every landmark in order, map axes. ``arm_headings`` (n, 4) [rad, NaN padded], ``arm_passable``
-    (n, 4). ``corridors`` (m, 2): places in `map.landmarks` that a straight, travelled link joins.
+    and ``arm_travelled`` (n, 4). ``corridors`` (m, 2): places in `map.landmarks` that a straight, travelled link joins.
     """
 
     map: LandmarkMap
@@ -46,6 +46,7 @@ class PreparedMap:
     covariance: Array
     arm_headings: Array
     arm_passable: NDArray[np.bool_]
+    arm_travelled: NDArray[np.bool_]
     corridors: NDArray[np.intp]
 
     def __len__(self) -> int:
@@ -119,16 +120,20 @@ class PreparedMap:
         return centre, float(np.hypot(sigma, noise.heading_sigma / np.sqrt(len(angles))))
 
 
-def _arms(map_: LandmarkMap, headings: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _arms(map_: LandmarkMap, headings: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Directions of all arms, whether a corridor goes on there, and whether the robot travelled it."""
     directions = np.full((len(map_), ARMS), np.nan)
     passable = np.zeros((len(map_), ARMS), dtype=bool)
+    travelled = np.zeros((len(map_), ARMS), dtype=bool)
     for k, landmark in enumerate(map_.landmarks):
         arms = signature(landmark)
         if arms.heading is not None:
             turned = np.array(arms.headings) + headings[k] - arms.heading
             directions[k, : len(turned)] = se2.wrap(turned)
             passable[k, : len(turned)] = arms.passable
-    return directions, passable
+            links = [landmark.links[place] for place in arms.links]
+            travelled[k, : len(turned)] = [l.connected_to_id is not None and l.distance is not None for l in links]
+    return directions, passable, travelled
 
 
 def _corridors(map_: LandmarkMap, positions: Array, directions: Array, angle: float) -> NDArray[np.intp]:
@@ -166,6 +171,6 @@ def prepare(map_: LandmarkMap, config: SolvingConfig, corridor_angle: float = np
         solution = solve(single_map_problem(map_), config)
         poses, covariance = solution.landmark_poses(0), solution.landmark_covariance(0)
     headings = np.where(headed, poses[:, 2], np.nan)
-    directions, passable = _arms(map_, poses[:, 2])
+    directions, passable, travelled = _arms(map_, poses[:, 2])
     corridors = _corridors(map_, poses[:, :2], headings, corridor_angle)
-    return PreparedMap(map_, poses[:, :2], headings, covariance, directions, passable, corridors)
+    return PreparedMap(map_, poses[:, :2], headings, covariance, directions, passable, travelled, corridors)

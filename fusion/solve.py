@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -29,6 +29,8 @@ log = logging.getLogger(__name__)
 MAX_UNKNOWNS = 5000
 #: A solution counts as an optimum when the next Gauss-Newton step moves no unknown by more than this [m, rad].
 CONVERGED_STEP = 1e-6
+#: A pivot of the information matrix that is less than this share of its diagonal is rounding: nothing is measured.
+SINGULAR = 1e-13
 MAX_RESTARTS = 10
 MAX_POLISHING = 8
 
@@ -37,8 +39,8 @@ MAX_POLISHING = 8
 class Solution:
     """The optimum of a problem, and its covariance as a query.
 
-    ``poses``: every unknown's (3,) pose in the merged frame. ``chi2``: sum of squared whitened residuals; ``dof``:
-    measured rows less unknowns. ``rejected``: correspondences that the gate took out.
+    ``poses``: every unknown's (3,) pose in the merged frame. ``chi2``: sum of squared whitened residuals.
+    ``rejected``: correspondences that the gate took out.
     """
 
     problem: Problem
@@ -70,7 +72,10 @@ class Solution:
         try:
             L = cholesky(H[np.ix_(free, free)], lower=True)
         except LinAlgError:
-            raise UndeterminedError("the measurements leave open where these are", self._open(H)) from None
+            raise _undetermined(self.problem, self.poses) from None
+        # rounding may leave a pivot where nothing is measured
+        if np.min(np.diag(L) ** 2 / np.diag(H)[free], initial=1.0) < SINGULAR:
+            raise _undetermined(self.problem, self.poses)
         thetas = np.array([self.poses[unknown][2] for unknown in self._order])
         J = np.zeros((3 * unknowns, 3 * unknowns))
         blocks = np.arange(unknowns)
@@ -78,14 +83,6 @@ class Solution:
         covariance = np.zeros_like(H)
         covariance[np.ix_(free, free)] = J[np.ix_(free, free)] @ cho_solve((L, True), J[np.ix_(free, free)].T)
         return (covariance + covariance.T) / 2
-
-    def _open(self, H: Array) -> tuple[tuple[str, str], ...]:
-        """The landmarks that move along the directions which nothing measures."""
-        values, vectors = np.linalg.eigh(H)
-        loose = vectors[:, values < max(values[-1], 1.0) * 1e-12]
-        moved = np.linalg.norm(loose.reshape(len(self._order), -1), axis=1)
-        found = [u for u, k in self._order.items() if moved[k] > 0.1 * moved.max()]
-        return tuple((self.problem.maps[u.map].name, u.id) for u in found if isinstance(u, LandmarkKey))
 
     def joint_covariance(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (3k, 3k) of k unknowns over (x, y, theta) each, axes of the merged frame.
@@ -160,17 +157,36 @@ def _optimise(problem: Problem, exact: bool = True) -> tuple[dict[Unknown, Array
         else:
             log.warning("optimum not reached: the last step was still %.2g", largest)
     except RuntimeError as error:
-        raise _undetermined(problem, error) from None
+        raise _undetermined(problem, problem.initial, str(error)) from None
     poses = problem.poses(values)
     if not all(np.isfinite(pose).all() for pose in poses.values()):
         raise MapfuseError("the solver left finite numbers; the maps' noise or positions are out of proportion")
     return poses, iterations
 
 
-def _undetermined(problem: Problem, error: RuntimeError) -> UndeterminedError:
-    named = problem.keys.mentioned(str(error))
-    landmarks = tuple((problem.maps[u.map].name, u.id) for u in named if isinstance(u, LandmarkKey))
-    return UndeterminedError("the measurements leave something open near these", landmarks)
+def _undetermined(problem: Problem, poses: Mapping[Unknown, Array], message: str = "") -> UndeterminedError:
+    """Names the landmarks that move along directions which nothing measures; failing that, those in GTSAM's message."""
+    found = [unknown for unknown in _open(problem, poses) if isinstance(unknown, LandmarkKey)]
+    if found:
+        reason = "the measurements leave open where these are"
+    else:
+        found = [unknown for unknown in problem.keys.mentioned(message) if isinstance(unknown, LandmarkKey)]
+        reason = "the measurements leave something open" + (" near these" if found else "")
+    return UndeterminedError(reason, tuple((problem.maps[u.map].name, u.id) for u in found))
+
+
+def _open(problem: Problem, poses: Mapping[Unknown, Array]) -> list[Unknown]:
+    """The unknowns that may move at no cost: where the null vectors of the information matrix, scaled to a diagonal
+    of ones, are not zero."""
+    order = sorted(problem.keys, key=problem.keys.key)
+    if len(order) > MAX_UNKNOWNS:
+        return []
+    H = information(problem.graph().linearize(problem.values(poses)), 3 * len(order))
+    scale = 1 / np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
+    values, vectors = np.linalg.eigh(H * scale * scale[:, None])
+    loose = (vectors[:, values < SINGULAR] * scale[:, None]).reshape(len(order), -1)
+    moved = np.linalg.norm(loose, axis=1)
+    return [unknown for unknown, by in zip(order, moved, strict=True) if by > 0.01 * moved.max(initial=0.0)]
 
 
 def _solved(problem: Problem) -> Solution:

@@ -32,6 +32,7 @@ from mapfuse.fusion.show import draw_fused, draw_map
 from mapfuse.matching import MatchingConfig, propose
 
 # %matplotlib inline
+# %config InlineBackend.print_figure_kwargs = {"bbox_inches": None}
 
 logging.getLogger("mapfuse").setLevel(logging.ERROR)  # one corner has an arm too many: meant so, as a sonar's mistake
 
@@ -44,10 +45,10 @@ logging.getLogger("mapfuse").setLevel(logging.ERROR)  # one corner has an arm to
 # %%
 map1, map2 = (read_map(recordings.path(name)) for name in recordings.SCENES["ground-floor"])
 assert all(recorded.extra["simulated"] for recorded in (map1, map2))
-draw_map(map1, dpi=55)
+draw_map(map1, dpi=52)
 
 # %%
-draw_map(map2, dpi=55)
+draw_map(map2, dpi=52)
 
 # %% [markdown]
 # ## Propose
@@ -92,7 +93,7 @@ Markdown(
 )
 
 # %%
-draw_fused(fused, dpi=70)
+draw_fused(fused, dpi=76)
 
 # %% [markdown]
 # ## How sure

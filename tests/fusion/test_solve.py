@@ -73,9 +73,9 @@ def matched(pair, noise=None):
 
 
 def test_a_chain_of_links_adds_up_their_errors():
-    # a: anchored with s = 0.3, facing along its only arm with h = 0.03 rad (one arm: variance h^2). The link to b has
-    # d = 4: along 0.1 + 0.02 * 4 = 0.18, across 4 * 0.005; b's own arm to c has h again, d = 5: 0.2 and 5 * 0.005.
-    # No reading is redundant, so everything is where it was put, and errors add up: the heading's over its lever.
+    # a: anchored with s = 0.3, facing along its only arm with h = 0.03 rad, half of whose variance is the landmark's
+    # and half the arm's own. The link to b has d = 4: along 0.1 + 0.02 * 4 = 0.18, across 4 h; b's own arm to c has h
+    # again, d = 5: 0.2 and 5 h. No reading is redundant, so everything is where it was put, and errors add up.
     m = LandmarkMap(
         "m",
         (
@@ -87,8 +87,8 @@ def test_a_chain_of_links_adds_up_their_errors():
     solution = solve(single_map_problem(m), CONFIG)
     np.testing.assert_allclose(solution.landmark_poses(0)[:, :2], [(1, 0), (5, 0), (10, 0)], atol=1e-6)
     a = np.diag([0.09, 0.09])
-    b = a + np.diag([0.18**2, (4 * 0.005) ** 2 + 16 * 0.0009])
-    c = b + np.diag([0.2**2, (5 * 0.005) ** 2 + 25 * 0.0009])
+    b = a + np.diag([0.18**2, 16 * 0.0009])
+    c = b + np.diag([0.2**2, 25 * 0.0009])
     joint = solution.landmark_covariance(0)
     for row, expected in zip(range(0, 9, 3), (a, b, c), strict=True):
         np.testing.assert_allclose(joint[row : row + 2, row : row + 2], expected, rtol=1e-3, atol=1e-8)
@@ -108,7 +108,7 @@ def test_two_maps_that_share_one_headed_landmark(T12):
     p_a, h_a = se2.transform(T12, p_b), float(se2.wrap(h_b + T12[2]))
     map1 = LandmarkMap("m1", (Landmark("a", "chair", *p_a, heading=h_a),))
     map2 = LandmarkMap("m2", (Landmark("b", "chair", *p_b, heading=h_b),))
-    solution = solve(pair_problem(map1, map2, T12 + (0.2, -0.1, 0.05), [("a", "b")], robust=False), CONFIG)
+    solution = solve(pair_problem(map1, map2, T12 + np.array([0.2, -0.1, 0.05]), [("a", "b")], robust=False), CONFIG)
     v = 2 * 0.03**2 + 0.01**2
     Jq = se2.rotation(T12[2] + np.pi / 2) @ p_b
     expected = np.zeros((3, 3))
@@ -127,12 +127,12 @@ def test_two_maps_of_points_that_share_two(T12):
     # v / 2, the rotation with v / (2 * 5^2), independently. T12 is the pose at map 2's origin, c from the middle.
     v = 2 * 0.09 + 0.0025
     T12, c = np.array(T12), np.array([7.0, 3.0])
-    p2 = np.array([c - (5, 0), c + (5, 0)])
+    p2 = c + np.array([(-5.0, 0.0), (5.0, 0.0)])
     solution = solve(
         pair_problem(
             points("m1", se2.transform(T12, p2)),
             points("m2", p2),
-            T12 + (0.2, 0.1, -0.05),
+            T12 + np.array([0.2, 0.1, -0.05]),
             [("t0", "t0"), ("t1", "t1")],
             robust=False,
         ),
@@ -162,9 +162,7 @@ def test_covariances_are_those_of_an_independent_inversion(compass, joint):
     np.testing.assert_allclose(found, expected[np.ix_(places, places)], rtol=1e-4, atol=2e-5 * np.diag(found).max())
     np.testing.assert_array_equal(found, found.T)
     a, b = keys[3], keys[-2]
-    np.testing.assert_allclose(
-        solution.covariance(a, b), expected[np.ix_(column[a], column[b])], rtol=1e-3, atol=1e-6
-    )
+    np.testing.assert_allclose(solution.covariance(a, b), expected[np.ix_(column[a], column[b])], rtol=1e-3, atol=1e-6)
     np.testing.assert_array_equal(solution.covariance(a, b), solution.covariance(b, a).T)
     np.testing.assert_array_equal(solution.covariance(a), solution.covariance(a, a))
     assert solution.joint_covariance([]).shape == (0, 0)
@@ -173,22 +171,20 @@ def test_covariances_are_those_of_an_independent_inversion(compass, joint):
 def test_the_optimum_is_one_whatever_the_start():
     map1, map2, T12, matches = matched(simulated_pair(12, compass=True))
     solution = solve(pair_problem(map1, map2, T12, matches, robust=False), CONFIG)
-    gradient = 0.0
+    gradient = []
     for u in solution.problem.keys:
+        of_u = [m for m in solution.problem.measurements if u in m.unknowns]
         for axis in range(3):
             step = np.zeros(3)
             step[axis] = 1e-5
             ahead, behind = (
-                solution.problem.error({**solution.poses, u: solution.poses[u] + sign * step}) for sign in (1, -1)
+                sum(m.error({**solution.poses, u: solution.poses[u] + sign * step}) for m in of_u) for sign in (1, -1)
             )
             # in units of the unknown's own standard deviation: by how much a step of it would lower the error
-            sigma = np.sqrt(solution.covariance(u)[axis, axis])
-            gradient = max(gradient, abs(ahead - behind) / 2e-5 * sigma)
-    assert gradient < 1e-3
+            gradient.append(abs(ahead - behind) / 2e-5 * np.sqrt(solution.covariance(u)[axis, axis]))
+    assert max(gradient) < 1e-3
     rng = np.random.default_rng(3)
-    starts = {
-        u: pose + rng.normal(0, (0.5, 0.5, 0.05)) for u, pose in solution.poses.items() if u != FrameKey(0)
-    }
+    starts = {u: pose + rng.normal(0, (0.5, 0.5, 0.05)) for u, pose in solution.poses.items() if u != FrameKey(0)}
     again = solve(solution.problem.starting_at(starts), CONFIG)
     assert again.chi2 == pytest.approx(solution.chi2, rel=1e-8)
     for u, pose in solution.poses.items():
@@ -216,18 +212,19 @@ def test_left_out_is_what_solving_without_the_correspondence_says():
         assert left_out(solution, match) == pytest.approx(expected, rel=0.05, abs=0.02)
 
 
-@pytest.mark.parametrize("seed", [14, 15, 16])
+@pytest.mark.parametrize("seed", [15, 16, 18])
 def test_planted_wrong_correspondences_are_thrown_out_and_leave_no_trace(seed):
     map1, map2, T12, matches = matched(simulated_pair(seed, min_common=10))
-    right = {a for a, _ in matches}, {b for _, b in matches}
     p1, p2 = map1.positions, se2.transform(T12, map2.positions)
+    free1 = [i for i, a in enumerate(map1.ids) if a not in {a for a, _ in matches}]
+    free2 = [j for j, b in enumerate(map2.ids) if b not in {b for _, b in matches}]
     wrong = []
-    for i, a in enumerate(map1.ids):
-        away = np.linalg.norm(p2 - p1[i], axis=1)
-        j = int(np.argmin(np.where(away > 6.0, away, np.inf)))
-        if a not in right[0] and map2.ids[j] not in right[1] and map2.ids[j] not in {b for _, b in wrong}:
-            wrong.append((a, map2.ids[j]))
-    wrong = wrong[:3]
+    for i in free1:
+        far = [j for j in free2 if np.linalg.norm(p2[j] - p1[i]) > 6.0]
+        if far and len(wrong) < 3:
+            nearest = min(far, key=lambda j: np.linalg.norm(p2[j] - p1[i]))
+            free2.remove(nearest)
+            wrong.append((map1.ids[i], map2.ids[nearest]))
     assert len(wrong) >= 2
     solution = solve(pair_problem(map1, map2, T12, [*matches, *wrong]), CONFIG)
     rejected = {(m.a.id, m.b.id) for m in solution.rejected}
@@ -237,9 +234,7 @@ def test_planted_wrong_correspondences_are_thrown_out_and_leave_no_trace(seed):
     without = solve(pair_problem(map1, map2, T12, kept), CONFIG)
     assert not without.rejected
     np.testing.assert_allclose(se2.between(without.poses[FrameKey(1)], solution.poses[FrameKey(1)]), 0, atol=1e-6)
-    np.testing.assert_allclose(
-        solution.transform(1).covariance, without.transform(1).covariance, rtol=1e-4, atol=1e-9
-    )
+    np.testing.assert_allclose(solution.transform(1).covariance, without.transform(1).covariance, rtol=1e-4, atol=1e-9)
     assert solution.chi2 == pytest.approx(without.chi2, rel=1e-4)
 
 
