@@ -22,6 +22,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # one thread a pro
     os.environ.setdefault(variable, "1")
 
 import numpy as np
+
 from mapfuse.datasets.simulation.pairs import TEST_SEEDS, TUNING_SEEDS, simulated_pair
 from mapfuse.fusion import fuse
 from mapfuse.fusion.score import PairScore, score_pair

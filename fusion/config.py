@@ -75,7 +75,7 @@ class EvidenceConfig:
     junction_discount: float = 2.0
     look_elsewhere: float = 4.0
     repetition_rate: float = 0.05
-    repetition_odds: float = 2.0
+    repetition_odds: float = 3.0
 
     def __post_init__(self) -> None:
         _check(

@@ -46,28 +46,37 @@ class ArmOverlay:
     @classmethod
     def at(cls, m1: PreparedMap, m2: PreparedMap, rotation: float) -> ArmOverlay:
         """Overlay under a rotation [rad] of map 2 into map 1."""
-        off = se2.wrap(m1.arm_headings[:, None, :, None] - m2.arm_headings[None, :, None, :] - rotation)
+        rows = [cls._rows(m1, m2, rotation, rows) for rows in _batches(len(m1))]
+        return cls(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
+
+    @staticmethod
+    def _rows(m1: PreparedMap, m2: PreparedMap, rotation: float, rows: slice) -> tuple[Index, Index, Array, Array]:
+        off = se2.wrap(m1.arm_headings[rows, None, :, None] - m2.arm_headings[None, :, None, :] - rotation)
         meets = np.abs(off) < ARM_TOLERANCE  # NaN compares false
-        same = m1.arm_passable[:, None, :, None] == m2.arm_passable[None, :, None, :]
+        same = m1.arm_passable[rows, None, :, None] == m2.arm_passable[None, :, None, :]
         met = meets.sum(axis=(2, 3))
         coincide = (meets & same).sum(axis=(2, 3))
         # as in factors.correspondence: a travelled arm's error is in its link, and counts where there is no other
-        standing = meets & ~m1.arm_travelled[:, None, :, None] & ~m2.arm_travelled[None, :, None, :]
+        standing = meets & ~m1.arm_travelled[rows, None, :, None] & ~m2.arm_travelled[None, :, None, :]
         only_travelled = np.asarray(~standing.any(axis=(2, 3)))
         used = np.where(only_travelled[:, :, None, None], meets, standing)
         n_used = used.sum(axis=(2, 3))
         with np.errstate(invalid="ignore"):
             shift = np.where(used, off, 0).sum(axis=(2, 3)) / n_used
-        plain = se2.wrap(m1.headings[:, None] - m2.headings[None, :] - rotation)
-        bare = ~m1.has_arms[:, None] & ~m2.has_arms[None, :] & ~np.isnan(plain)
+        plain = se2.wrap(m1.headings[rows, None] - m2.headings[None, :] - rotation)
+        bare = ~m1.has_arms[rows, None] & ~m2.has_arms[None, :] & ~np.isnan(plain)
         shift = np.where(bare, plain, np.where(met > 0, shift, np.nan))
         own = np.zeros(met.shape)
-        for m, axis in ((m1, 1), (m2, 0)):
-            within = np.expand_dims(m.arms_in_covariance, axis)
+        for m, within in ((m1, m1.arms_in_covariance[rows, None]), (m2, m2.arms_in_covariance[None, :])):
             own = own + m.map.noise.heading_sigma**2 / 2 * np.maximum(1 / np.maximum(n_used, 1) - within, 0)
         own = np.where(bare, 0.0, np.where(only_travelled, 2 * own, own))
         variance = np.where(np.isnan(shift), NO_HEADING_SIGMA**2, PLACE_SIGMA_RAD**2 + own)
-        return cls(coincide, met - coincide, shift, variance)
+        return coincide, met - coincide, shift, variance
+
+
+def _batches(rows: int, size: int = 256) -> list[slice]:
+    """Slices that cover so many rows, so that what is worked out per batch stays small."""
+    return [slice(k, k + size) for k in range(0, max(rows, 1), size)]
 
 
 def jacobian(T12: Array, points2: Array) -> Array:

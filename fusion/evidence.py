@@ -18,7 +18,7 @@ from mapfuse.datasets.maps import DOOR
 from .background import Background, false_alarm, label
 from .config import EvidenceConfig
 from .coverage import END_MARGIN_M, Segments, overlap_length, passed
-from .elastic import ArmOverlay, Joined
+from .elastic import Joined
 from .growth import PRIOR_SIGMA, Growth
 from .prepared import PreparedMap
 from .visits import visits
@@ -87,18 +87,30 @@ def _detections(m1: PreparedMap, m2: PreparedMap, i: int, j: int) -> float:
     return float(np.log1p(-false_alarm(m1, i)) + np.log1p(-false_alarm(m2, j)))
 
 
-def _corridor_matches(joined: Joined, background: Background, arms: ArmOverlay) -> float:
-    """Matched corridor landmarks: density of the residual along the corridor, given those before."""
-    m1, m2 = joined.m1, joined.m2
+def _corridor_matches(joined: Joined, background: Background) -> float:
+    """Matched corridor landmarks [nats]: density of the residual along the corridor, given those before.
+
+    The order and the corridors are those of either map; the mean of both, so that neither map is the first.
+    """
     corridor = np.flatnonzero(~background.points1[joined.i] & ~background.points2[joined.j])
     if not len(corridor):
         return 0.0
-    order, directions = visits(_subset(joined, corridor))
-    sub = _subset(joined, corridor[order])
-    innovation, V = sub.sequential()
+    on = _subset(joined, corridor)
+    order1, along1 = visits(on.m1, on.i)
+    order2, along2 = visits(on.m2, on.j)
+    turned2 = along2 @ se2.rotation(joined.T12[2]).T
+    return (
+        _sequence(_subset(on, order1), along1, background) + _sequence(_subset(on, order2), turned2, background)
+    ) / 2
+
+
+def _sequence(joined: Joined, directions: Array, background: Background) -> float:
+    """Log odds [nats] of matches in the order given, each along its direction (k, 2) in frame 1."""
+    m1, m2 = joined.m1, joined.m2
+    innovation, V = joined.sequential()
     total = 0.0
-    for k, (i, j) in enumerate(zip(sub.i, sub.j, strict=True)):
-        met = arms.coincide[i, j] >= 2
+    for k, (i, j) in enumerate(zip(joined.i.tolist(), joined.j.tolist(), strict=True)):
+        met = joined.arms.coincide[i, j] >= 2
         ways = ORIENTATIONS.get(signature(m1.map.landmarks[i]).kind, 1) if met else 1
         odds = _detections(m1, m2, i, j) + np.log(ways) - np.log(background.rate[label(m1, i)])
         if k:  # the first one is what places map 2: its density is the prior of T12
@@ -261,7 +273,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     compass = _compass(m1, m2, float(joined.T12[2]))
     terms = Terms(
         prior=prior,
-        matches=_corridor_matches(joined, background, joined.arms),
+        matches=_corridor_matches(joined, background),
         points=_point_matches(joined, background),
         junctions=-config.junction_discount * max(0, spatial - 1),
         misses=float(misses),

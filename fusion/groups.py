@@ -22,6 +22,7 @@ from mapfuse.factors import pair_problem
 from .config import FuseConfig
 from .evidence import Weighed
 from .existence import existence
+from .far import middle, put_back, shifted
 from .merge import Place, merged_landmarks
 from .pair import PairOutcome, fuse_pair
 from .prepared import PreparedMap, prepare
@@ -53,8 +54,13 @@ def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> Fused
     config = config or FuseConfig()
     maps = tuple(maps)
     _check(maps)
+    origins = {m.name: middle(m) for m in maps}
+    near = tuple(shifted(m, origins[m.name]) for m in maps)
+    return put_back(_fuse(near, _provenance(maps, config), config), maps, origins, _mixture)
+
+
+def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: FuseConfig) -> FusedMap:
     prepared = {m.name: prepare(m, config.solving, np.deg2rad(config.evidence.corridor_angle_deg)) for m in maps}
-    provenance = _provenance(maps, config)
     if len(maps) == 1:
         only = prepared[maps[0].name]
         return _result(maps, "merged", 1.0, (), [_alone(only, 0, 0)], {maps[0].name: Frame(0, AT_HOME)}, provenance)

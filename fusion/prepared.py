@@ -26,7 +26,7 @@ from .solve import solve
 Array = NDArray[np.float64]
 
 #: Dense joint covariances are kept up to this many landmarks per map (3n x 3n doubles).
-MAX_LANDMARKS = 2500
+MAX_LANDMARKS = 1000
 
 ARMS = 4
 

@@ -7,19 +7,22 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from .elastic import Joined
+from .prepared import PreparedMap
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+#: A link shorter than this [m] has no direction to speak of.
+SHORT_M = 0.5
 
-def visits(joined: Joined) -> tuple[Index, Array]:
-    """Order in which matched pairs are come upon along the corridors, and the corridor direction each is come by.
 
-    Returns places in ``joined.i`` (k,) and unit vectors in frame 1 (k, 2); of the first one the direction is NaN.
+def visits(m: PreparedMap, matched: Index) -> tuple[Index, Array]:
+    """Order in which matched landmarks are come upon along a map's corridors, and the direction each is come by.
+
+    ``matched`` (k,): places in the map. Returns places in ``matched`` (k,) and unit vectors in the map's frame (k, 2),
+    NaN for the first one and where no corridor is known. Each stretch of corridor is followed from the landmark
+    nearest to what was visited before, the first one from the middle.
     """
-    m = joined.m1
-    place = {int(i): k for k, i in enumerate(joined.i)}
     neighbours: dict[int, list[int]] = {}
     for a, b in m.corridors.tolist():
         neighbours.setdefault(a, []).append(b)
@@ -27,10 +30,9 @@ def visits(joined: Joined) -> tuple[Index, Array]:
     p = m.positions
     order: list[int] = []
     directions: list[Array] = []
-    remaining = dict(place)
+    remaining = {int(i): k for k, i in enumerate(matched)}
     while remaining:
-        first = min(remaining, key=lambda i: _seed_rank(joined, remaining[i], order))
-        queue: list[tuple[float, int, int]] = [(0.0, first, -1)]
+        queue: list[tuple[float, int, int]] = [(0.0, _begin(p, matched, order, remaining), -1)]
         done: set[int] = set()
         while queue:
             distance, node, before = heapq.heappop(queue)
@@ -39,7 +41,7 @@ def visits(joined: Joined) -> tuple[Index, Array]:
             done.add(node)
             if node in remaining:
                 order.append(remaining.pop(node))
-                directions.append(_arrival(joined, order, node, before))
+                directions.append(_arrival(m, matched, order, node, before))
                 distance = 0.0
             for other in neighbours.get(node, []):
                 if other not in done:
@@ -48,29 +50,25 @@ def visits(joined: Joined) -> tuple[Index, Array]:
     return np.array(order, dtype=np.intp), np.array(directions).reshape(-1, 2)
 
 
-def _seed_rank(joined: Joined, k: int, order: list[int]) -> tuple[float, ...]:
-    """Which matched landmark to begin a stretch of corridor with: near what is matched, then the best known."""
-    p = joined.m1.positions
+def _begin(p: Array, matched: Index, order: list[int], remaining: dict[int, int]) -> int:
+    """The matched landmark to begin a stretch of corridor with."""
     if not order:
-        centre = p[joined.i].mean(axis=0)
-        return (float(np.linalg.norm(p[joined.i[k]] - centre)),)
-    return (float(np.linalg.norm(p[joined.i[order]] - p[joined.i[k]], axis=1).min()),)
+        middle = p[matched].mean(axis=0)
+        return min(remaining, key=lambda i: float(np.linalg.norm(p[i] - middle)))
+    return min(remaining, key=lambda i: float(np.linalg.norm(p[matched[order]] - p[i], axis=1).min()))
 
 
-def _arrival(joined: Joined, order: list[int], node: int, before: int) -> Array:
+def _arrival(m: PreparedMap, matched: Index, order: list[int], node: int, before: int) -> Array:
     """Direction of the corridor by which ``node`` was reached."""
-    p = joined.m1.positions
+    p = m.positions
     if before >= 0:
         step = p[node] - p[before]
         length = float(np.hypot(*step))
-        if length > 0.5:
+        if length > SHORT_M:
             return np.asarray(step / length)
-    if len(order) < 2:
+    arms = m.arm_headings[node][m.arm_passable[node]]
+    if len(order) < 2 or not len(arms):
         return np.full(2, np.nan)
-    arms = joined.m1.arm_headings[node][joined.m1.arm_passable[node]]
-    if not len(arms):
-        return np.full(2, np.nan)
-    nearest = min(order[:-1], key=lambda k: float(np.linalg.norm(p[joined.i[k]] - p[node])))
-    step = p[node] - p[joined.i[nearest]]
+    nearest = min(order[:-1], key=lambda k: float(np.linalg.norm(p[matched[k]] - p[node])))
     ways = np.column_stack([np.cos(arms), np.sin(arms)])
-    return np.asarray(ways[int(np.argmax(np.abs(ways @ step)))])
+    return np.asarray(ways[int(np.argmax(np.abs(ways @ (p[node] - p[matched[nearest]]))))])

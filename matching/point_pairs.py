@@ -35,7 +35,7 @@ _BINS = 72
 _ACCUMULATOR_CELLS = 8_000_000
 _DENSITY_NEIGHBOURS = 6
 _REACH_NEIGHBOURS = 3
-_LEAST_SIGMA = 1e-3
+_LEAST_SIGMA = 0.035
 _NOISE_PRIOR = 3.0
 # Rotation [rad] by which a peak may be off before it is refined.
 _COARSE_ROTATION = 0.06

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from mapfuse.datasets.simulation.pairs import TEST_SEEDS, simulated_pair
 from mapfuse.fusion import fuse
 from mapfuse.fusion.score import PairScore, score_pair

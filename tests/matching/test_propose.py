@@ -141,7 +141,7 @@ def test_a_part_of_a_large_map_finds_the_overlap_whatever_frame_it_is_written_in
 
 
 def test_the_part_does_not_depend_on_the_order_of_the_landmarks():
-    one, two = corner_field(700)
+    one, two = corner_field(500)
     found = propose(one, two)
     shuffled = [
         m.replace(landmarks=tuple(m.landmarks[k] for k in np.random.default_rng(3).permutation(len(m))))
