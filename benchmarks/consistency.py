@@ -18,9 +18,6 @@ from datetime import UTC, datetime
 from multiprocessing import get_context
 from pathlib import Path
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # one thread a process, before numpy is loaded
-    os.environ.setdefault(variable, "1")
-
 import numpy as np
 
 from mapfuse.datasets.simulation.pairs import TEST_SEEDS, TUNING_SEEDS, simulated_pair
@@ -82,11 +79,13 @@ def main() -> None:
     args = parser.parse_args()
     seeds = TUNING_SEEDS if args.tuning else TEST_SEEDS
     lines = [
-        "| pairs | merged | of them wrong | correspondences right | NEES of T12 | NEES of a landmark | different merged |",
+        "| pairs | merged | wrongly | correspondences right | NEES of T12 | NEES of a landmark | different merged |",
         "|---|---|---|---|---|---|---|",
     ]
     everything: list[tuple[PairScore, float]] = []
     refused: list[str] = []
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # one thread a process; workers load numpy anew
+        os.environ.setdefault(variable, "1")
     with get_context("spawn").Pool(args.jobs) as pool:
         for block in range(args.first, args.first + args.blocks):
             jobs = [(seed, args.kind) for seed in seeds[block * BLOCK : (block + 1) * BLOCK]]

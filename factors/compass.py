@@ -1,9 +1,10 @@
 """Compass: absolute directions of arms, one north for all maps, one offset per robot (measurement model, row 9).
 
 A reading is the true direction of an arm, minus north, minus the instrument's offset. With ``c_r`` = north plus offset
-(in the merged frame) and the arm at ``theta_i + alpha`` there, ``reading = theta_i + alpha - c_r``. Steel bends some
-readings, so their loss is robust in every solve, the last one too. Their information in marginals is then that of the
-weighted readings: about an eighth less than of Gaussian ones where no steel is near, so it is never overstated.
+(in the merged frame) and the arm at ``theta_i + alpha`` there, ``reading = theta_i + alpha - c_r``; the arm's own
+error, which is no part of its landmark's rotation (row 2), adds to the reading's. Steel bends some readings, so their
+loss is robust in every solve, the last one too. Their information in marginals is then that of the weighted readings:
+about an eighth less than of Gaussian ones where no steel is near, so it is never overstated.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapfuse.datasets import se2
-from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets import arms, se2
+from mapfuse.datasets.maps import Landmark, LandmarkMap
 
 from .axes import wrapped
-from .heading import headings_of
+from .heading import arms_variance, headings_of
 from .keys import CompassKey, LandmarkKey, NorthKey, Unknown
 from .measurement import Array, Between, Poses, Prior
 from .noise import LOOSE_ROTATION, STEEL, PoseNoise
@@ -44,9 +45,9 @@ class NorthPrior(Prior):
 
 def compass_readings(recorded: LandmarkMap, r: int) -> Iterator[CompassReading]:
     """All compass readings of arms whose heading is known, by landmark id."""
-    noise = PoseNoise.from_sigmas(np.inf, np.inf, recorded.noise.compass_sigma)
     for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
         h = headings_of(recorded)[landmark.id] or 0.0
+        noise = PoseNoise.from_sigmas(np.inf, np.inf, _reading_sigma(recorded, landmark))
         seen = sorted(
             wrapped(link.compass - (link.heading - h))
             for link in landmark.links
@@ -54,6 +55,17 @@ def compass_readings(recorded: LandmarkMap, r: int) -> Iterator[CompassReading]:
         )
         for theta in seen:
             yield CompassReading(CompassKey(r), LandmarkKey(r, landmark.id), (0.0, 0.0, theta), noise, STEEL)
+
+
+def _reading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
+    """Standard deviation [rad] of a landmark's direction by one reading: the compass' own and the arm's own error.
+
+    An arm of which it isn't known whether a corridor goes on takes no part in its landmark's heading. Where there are
+    only such arms, both halves of their error count.
+    """
+    noise = recorded.noise
+    own = arms_variance(recorded, landmark, 1) if arms.signature(landmark).headings else noise.heading_sigma**2
+    return float(np.sqrt(noise.compass_sigma**2 + own))
 
 
 def robust_direction(angles: ArrayLike, sigmas: ArrayLike) -> float:

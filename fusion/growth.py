@@ -19,6 +19,7 @@ from .prepared import PreparedMap
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Pairs = tuple[tuple[int, int], ...]
 
 #: Standard deviation of T12's prior [m, m, rad]: wide, so that the matches decide; the evidence has its own volume.
 PRIOR_SIGMA = np.array([100.0, 100.0, np.pi])
@@ -44,9 +45,17 @@ class Growth:
         return self.joined.j
 
 
-def compatible(m1: PreparedMap, m2: PreparedMap) -> NDArray[np.bool_]:
-    """Pairs of landmarks that may be the same: equal types (H1), (n1, n2)."""
-    return np.asarray(np.array(m1.map.types)[:, None] == np.array(m2.map.types)[None, :])
+def compatible(m1: PreparedMap, m2: PreparedMap, known: Pairs = ()) -> NDArray[np.bool_]:
+    """Pairs of landmarks that may be the same: equal types (H1), (n1, n2).
+
+    A landmark whose partner is ``known`` (places in map 1, in map 2) may be no other.
+    """
+    may = np.asarray(np.array(m1.map.types)[:, None] == np.array(m2.map.types)[None, :])
+    for i, j in known:
+        may[i, :] = may[:, j] = False
+    for i, j in known:
+        may[i, j] = True
+    return may
 
 
 def _one_to_one(i: Index, j: Index, gain: Array) -> NDArray[np.bool_]:
@@ -104,11 +113,19 @@ def _associate(
     return i[kept], j[kept]
 
 
-def _prune(joined: Joined, config: SolvingConfig) -> Joined:
-    """Drop, one by one, the pair that fits the others worst, until all pass the gate."""
+def _with_known(i: Index, j: Index, known: Pairs) -> tuple[Index, Index]:
+    """The matches, and the known ones where they aren't among them."""
+    lacking = [pair for pair in known if pair not in set(zip(i.tolist(), j.tolist(), strict=True))]
+    more_i, more_j = (np.array(side, dtype=np.intp) for side in (zip(*lacking, strict=True) if lacking else ((), ())))
+    return np.concatenate([i, more_i]), np.concatenate([j, more_j])
+
+
+def _prune(joined: Joined, config: SolvingConfig, known: Pairs = ()) -> Joined:
+    """Drop, one by one, the pair that fits the others worst, until all pass the gate; known ones stay."""
     while len(joined.i) > 2:
         innovation, V = joined.leave_one_out()
         _, d2 = _log_density(innovation, V)
+        d2 = np.where([pair in known for pair in zip(joined.i.tolist(), joined.j.tolist(), strict=True)], 0.0, d2)
         worst = int(np.argmax(d2))
         if d2[worst] < chi2_gate(config.gate_probability, 3):
             break
@@ -131,10 +148,12 @@ def grow(
     seed: tuple[tuple[int, int], ...],
     config: SolvingConfig,
     may_match: NDArray[np.bool_] | None = None,
+    known: Pairs = (),
 ) -> Growth:
     """Grow a hypothesis from seed pairs (places in map 1, in map 2) at ``T12`` (3,) until the matches stand still.
 
-    ``may_match`` (n1, n2): which pairs may be the same (`compatible`, worked out once for all hypotheses).
+    ``may_match`` (n1, n2): which pairs may be the same (`compatible`, worked out once for all hypotheses). ``known``: pairs that
+    are matches whatever their residuals say.
     """
     may = compatible(m1, m2) if may_match is None else may_match
     i, j = (np.array(side, dtype=np.intp) for side in zip(*seed, strict=True))
@@ -145,10 +164,11 @@ def grow(
     rounds = 0
     for rounds in range(1, config.max_rounds + 1):
         i, j = _associate(joined, may, config, reach=5.0 + 2.0 * rounds)
+        i, j = _with_known(i, j, known)
         if len(i) < 2:
             break
         grown = joined_at(joined, joined.T0, i, j)
-        grown = _prune(joined_at(grown, grown.T12, grown.i, grown.j), config)
+        grown = _prune(joined_at(grown, grown.T12, grown.i, grown.j), config, known)
         pairs = tuple(zip(grown.i.tolist(), grown.j.tolist(), strict=True))
         joined = joined_at(grown, grown.T12, grown.i, grown.j)
         if pairs in seen:

@@ -19,7 +19,8 @@ from .background import Background
 from .config import FuseConfig, SolvingConfig
 from .decide import Verdict, decide
 from .evidence import Weighed, weigh
-from .growth import Growth, compatible, grow, joined_at
+from .growth import Growth, Pairs, compatible, grow, joined_at
+from .known import grow_known, known_pairs
 from .prepared import PreparedMap
 from .solve import Solution, solve
 
@@ -59,9 +60,14 @@ def _turned(landmark: Landmark, turn: float) -> Landmark:
     return replace(landmark, links=links, heading=heading)
 
 
-def grow_all(m1: PreparedMap, m2: PreparedMap, hypotheses: list[Hypothesis], config: SolvingConfig) -> list[Growth]:
-    """Every distinct hypothesis grown; those whose seed an earlier one explains are the same answer."""
-    may = compatible(m1, m2)
+def grow_all(
+    m1: PreparedMap, m2: PreparedMap, hypotheses: list[Hypothesis], config: SolvingConfig, known: Pairs = ()
+) -> list[Growth]:
+    """Every distinct hypothesis grown; those whose seed an earlier one explains are the same answer.
+
+    Where landmarks are ``known`` to be the same, they propose too, and what contradicts them is left out.
+    """
+    may = compatible(m1, m2, known)
     grown: list[Growth] = []
     explained: list[tuple[set[tuple[int, int]], float]] = []
     for hypothesis in hypotheses:
@@ -73,7 +79,9 @@ def grow_all(m1: PreparedMap, m2: PreparedMap, hypotheses: list[Hypothesis], con
         pairs = set(zip(growth.i.tolist(), growth.j.tolist(), strict=True))
         explained.append((pairs | set(seed), float(growth.joined.T12[2])))
         grown.append(growth)
-    return grown
+    by_known = grow_known(m1, m2, known, config)
+    grown = [by_known, *grown] if by_known is not None else grown
+    return [g for g in grown if set(known) <= set(zip(g.i.tolist(), g.j.tolist(), strict=True))]
 
 
 def _seed(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> tuple[tuple[int, int], ...]:
@@ -127,16 +135,17 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutco
     """Propose, grow, weigh, solve, decide."""
     background = Background(m1, m2)
     hypotheses = propose(straightened(m1), straightened(m2), config.matching)
-    grown = grow_all(m1, m2, hypotheses, config.solving)
+    known = known_pairs(m1.map, m2.map)
+    grown = grow_all(m1, m2, hypotheses, config.solving, known)
     weighed = _distinct([weigh(g, background, config.evidence) for g in grown], config.matching.tolerance_m)
-    verdict = decide(weighed, config.evidence, config.decision)
+    verdict = decide(weighed, config.evidence, config.decision, overlap_known=bool(known))
     solved: dict[int, tuple[Weighed, Solution]] = {}
     for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):
         # what one match places, or what cannot be the answer, keeps the elastic match's T12
         if len(w.growth.i) > 1 and probability >= NEGLIGIBLE:
             solved[id(w)] = _solved(w, background, config)
     again = [solved[id(w)][0] if id(w) in solved else w for w in verdict.ranked]
-    verdict = decide(again, config.evidence, config.decision)
+    verdict = decide(again, config.evidence, config.decision, overlap_known=bool(known))
     solutions = {id(w): s for w, s in solved.values()}
     by_rank = {k: solutions[id(w)] for k, w in enumerate(verdict.ranked) if id(w) in solutions}
     return PairOutcome(m1, m2, background, verdict, by_rank)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from mapfuse.datasets.errors import MapError
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
 from mapfuse.factors import (
     FrameAnchor,
+    HeadingPrior,
     LandmarkKey,
     LinkMeasurement,
     RangeMeasurement,
@@ -47,13 +50,23 @@ def sigmas(link):
 def test_a_link_recorded_at_one_end_carries_all_its_information():
     wall = Link("blocked", np.pi / 2)
     (link,) = links_of(two([to("b", travels=4), wall])).values()
-    # along (0.1 + 0.02 * 10) / sqrt(4); across 10 * sqrt(0.1^2 / 2 * (1 - 1/2))
-    assert sigmas(link) == pytest.approx([0.15, 10 * 0.05])
+    # along (0.1 + 0.02 * 10) / sqrt(4); across 10 * sqrt(0.1^2 / 2), however many arms there are
+    assert sigmas(link) == pytest.approx([0.15, np.sqrt(0.5)])
     assert link.measured == pytest.approx((10, 0, 0))
 
 
-def test_a_single_arm_is_as_sure_of_its_direction_as_the_least_sigma_says():
-    (link,) = links_of(two([to("b")])).values()
+@pytest.mark.parametrize("arms", [0, 1, 3])
+def test_an_arm_adds_its_own_error_to_its_landmarks_rotation_however_many_others_there_are(arms):
+    others = [Link("blocked", 0.5 + k * np.pi / 2) for k in range(arms)]
+    problem = single_map_problem(two([to("b"), *others]))
+    (link,) = problem.of_kind(LinkMeasurement)
+    (prior,) = problem.of_kind(HeadingPrior)
+    assert sigmas(link) == pytest.approx([0.3, 10 * 0.1 / np.sqrt(2)])
+    assert 1 / prior.noise.tt == pytest.approx(0.1 / np.sqrt(2))
+
+
+def test_a_direction_is_never_surer_than_the_least_sigma_says():
+    (link,) = links_of(two([to("b")]).replace(noise=replace(NOISE, heading_sigma=0.001))).values()
     assert sigmas(link) == pytest.approx([0.3, 10 * 0.005])
 
 
@@ -69,8 +82,9 @@ def test_a_single_arm_is_as_sure_of_its_direction_as_the_least_sigma_says():
 def test_what_the_two_ends_share_is_counted_once(heading, distance, along, across):
     found = links_of(two([to("b")], [to("a", heading, distance)]))
     assert len(found) == 2
-    assert sigmas(found["a", "b"]) == pytest.approx([0.3 * along, 10 * 0.005 * across])
-    expected = [(0.1 + 0.02 * distance) * along, distance * 0.005 * across]
+    own = 0.1 / np.sqrt(2)
+    assert sigmas(found["a", "b"]) == pytest.approx([0.3 * along, 10 * own * across])
+    expected = [(0.1 + 0.02 * distance) * along, distance * own * across]
     assert sigmas(found["b", "a"]) == pytest.approx(expected)
 
 

@@ -128,8 +128,7 @@ def test_a_link_error_along_the_link_is_weighed_by_sigma_along_wherever_the_land
         assert link.error(problem.initial) == pytest.approx(0, abs=1e-18)
         unit = np.array([np.cos(heading), np.sin(heading)])
         across = np.array([-unit[1], unit[0]])
-        sigma_across = 10 * 0.02 * np.sqrt(0.5 * (1 - 1 / 2))
-        for step, sigma in ((unit, 0.5), (across, sigma_across)):
+        for step, sigma in ((unit, 0.5), (across, 10 * 0.02 / np.sqrt(2))):
             moved = {**problem.initial, link.b: problem.initial[link.b] + np.append(0.3 * step, 0)}
             assert np.linalg.norm(link.residual(moved)) == pytest.approx(0.3 / sigma, rel=1e-9)
 
