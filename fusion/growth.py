@@ -152,8 +152,8 @@ def grow(
 ) -> Growth:
     """Grow a hypothesis from seed pairs (places in map 1, in map 2) at ``T12`` (3,) until the matches stand still.
 
-    ``may_match`` (n1, n2): which pairs may be the same (`compatible`, worked out once for all hypotheses). ``known``: pairs that
-    are matches whatever their residuals say.
+    ``may_match`` (n1, n2): which pairs may be the same (`compatible`, worked out once for all hypotheses).
+    ``known``: pairs that are matches whatever their residuals say.
     """
     may = compatible(m1, m2) if may_match is None else may_match
     i, j = (np.array(side, dtype=np.intp) for side in zip(*seed, strict=True))

@@ -33,14 +33,14 @@ def _headline(pair: PairResult) -> str:
 
 
 def percent(probability: float) -> str:
-    """A probability in percent; one that rounds to 0 or 100 without being so says so.
+    """A probability in percent; nothing that a computer weighed is quite 0 or 100.
 
     >>> percent(0.9983), percent(0.99999999), percent(1e-9), percent(0.5)
     ('99.83 %', '> 99.99 %', '< 0.01 %', '50 %')
     """
-    if 0.9999 < probability < 1:
+    if probability > 0.9999:
         return "> 99.99 %"
-    if 0 < probability < 0.0001:
+    if probability < 0.0001:
         return "< 0.01 %"
     return f"{100 * probability:.4g} %"
 

@@ -152,8 +152,8 @@ def compass_map(name, readings, heading=0.5, sigma=0.1):
 def test_north_follows_from_a_compass_and_offsets_tie_two_robots():
     # Map 1 faces 0.5, reads 0.2 there: c_1 = 0.3. Map 2 lies turned by T12.theta and reads 0.1 at 0.5: with the same
     # north c_2 = T12.theta + 0.4, so T12.theta = -0.1 but for the weak prior; its variance is that of two readings of
-    # 0.2 each (1/sigma^2 as the residuals vanish), two arms of 0.03 and two offsets of 0.1. Half of an arm's variance is
-    # that of its landmark's rotation, half adds to the reading.
+    # 0.2 each (1/sigma^2 as the residuals vanish), two arms of 0.03 and two offsets of 0.1. Half of an arm's variance
+    # is that of its landmark's rotation, half adds to the reading.
     map1, map2 = compass_map("m1", [0.2]), compass_map("m2", [0.1])
     problem = pair_problem(map1, map2, (0.0, 0.0, 0.3), [], robust=False)
     poses, covariance, _ = solved(problem)

@@ -208,8 +208,8 @@ def test_summary_counts_the_rivals_it_does_not_list() -> None:
 def test_percent_never_rounds_to_certainty() -> None:
     assert percent(1 - 1e-7) == "> 99.99 %"
     assert percent(1e-7) == "< 0.01 %"
-    assert percent(1.0) == "100 %"
-    assert percent(0.0) == "0 %"
+    assert percent(1.0) == "> 99.99 %"
+    assert percent(0.0) == "< 0.01 %"
 
 
 def test_a_map_name_can_not_steer_the_terminal(

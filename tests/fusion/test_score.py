@@ -21,7 +21,7 @@ def test_nees_of_T12_is_filterpys(merged):
     truth_T12 = truth.T12("A", "B").array
     # filterpy doesn't wrap angles: the truth's is brought next to the estimate's
     truth_T12[2] = pair.T12.theta + se2.wrap(truth_T12[2] - pair.T12.theta)
-    (expected,) = NEES([truth_T12], [pair.T12.array], [pair.T12.covariance])
+    (expected,) = NEES(truth_T12[None], pair.T12.array[None], [pair.T12.covariance])
     assert score_pair(fused, truth).nees_T12 == pytest.approx(float(expected))
 
 
