@@ -44,6 +44,11 @@ class Growth:
         """Matched landmarks of map 2 (k,)."""
         return self.joined.j
 
+    @property
+    def places_map2(self) -> bool:
+        """Whether the matches determine T12: a single one does so only by its heading."""
+        return len(self.i) > 1 or bool(self.joined.arms.variance[self.i, self.j].min() < NO_HEADING_SIGMA**2)
+
 
 def compatible(m1: PreparedMap, m2: PreparedMap, known: Pairs = ()) -> NDArray[np.bool_]:
     """Pairs of landmarks that may be the same: equal types (H1), (n1, n2).

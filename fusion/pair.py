@@ -81,7 +81,7 @@ def grow_all(
         grown.append(growth)
     by_known = grow_known(m1, m2, known, config)
     grown = [by_known, *grown] if by_known is not None else grown
-    return [g for g in grown if set(known) <= set(zip(g.i.tolist(), g.j.tolist(), strict=True))]
+    return [g for g in grown if g.places_map2 and set(known) <= set(zip(g.i.tolist(), g.j.tolist(), strict=True))]
 
 
 def _seed(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> tuple[tuple[int, int], ...]:
@@ -141,8 +141,7 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutco
     verdict = decide(weighed, config.evidence, config.decision, overlap_known=bool(known))
     solved: dict[int, tuple[Weighed, Solution]] = {}
     for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):
-        # what one match places, or what cannot be the answer, keeps the elastic match's T12
-        if len(w.growth.i) > 1 and probability >= NEGLIGIBLE:
+        if probability >= NEGLIGIBLE:  # what cannot be the answer keeps the elastic match's T12
             solved[id(w)] = _solved(w, background, config)
     again = [solved[id(w)][0] if id(w) in solved else w for w in verdict.ranked]
     verdict = decide(again, config.evidence, config.decision, overlap_known=bool(known))

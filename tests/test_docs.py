@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -134,6 +134,27 @@ def straight_corridor(name, noise, start, door, detections):
         ),
         noise=noise,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("end_margin", [0.0, 0.7])
+def test_overlap_is_the_union_of_what_covers_each_link_averaged_over_the_two_maps(end_margin):
+    """Against counting the points of a fine grid, on one line, the landmarks of the two maps interleaving."""
+    rng, step = np.random.default_rng(5), 0.002
+    for _ in range(20):
+        ends1, ends2 = (np.sort(rng.uniform(0, 30, k)) for k in rng.integers(2, 7, 2))
+        if rng.integers(2):
+            ends2 = ends2[::-1]  # travelled the other way
+
+        def covered(own, others):
+            inside = np.arange(own.min(), own.max(), step)
+            covers = [
+                (inside > min(a, b) + end_margin) & (inside < max(a, b) - end_margin) for a, b in pairwise(others)
+            ]
+            return np.any(covers, axis=0).sum() * step
+
+        s1, s2 = (coverage.Segments(*(np.column_stack([e, 0 * e]) for e in (v[:-1], v[1:]))) for v in (ends1, ends2))
+        expected = (covered(ends1, ends2) + covered(ends2, ends1)) / 2
+        assert coverage.overlap_length(s1, s2, 1.0, 0.3, end_margin) == pytest.approx(expected, abs=0.02)
 
 
 # The prior, the compass ----------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from mapfuse.datasets import Landmark, LandmarkMap, Link
 from mapfuse.datasets.errors import MapError
 from mapfuse.datasets.simulation.pairs import simulated_pair
 from mapfuse.fusion import fuse
@@ -58,3 +59,17 @@ def test_one_landmark_cannot_be_two(symmetric):
     same_as = {map1.ids[0]: {"B": map2.ids[0]}, map1.ids[1]: {"B": map2.ids[0]}}
     with pytest.raises(MapError, match="would be two landmarks"):
         fuse([map1.replace(same_as=same_as), map2])
+
+
+def test_one_known_tree_places_nothing():
+    trees = tuple(Landmark(f"t{k}", "tree", 3.0 * k, 0.5 * k * k) for k in range(2))
+    map1 = LandmarkMap("A", trees[:1], same_as={"t0": {"B": "t1"}})
+    assert fuse([map1, LandmarkMap("B", trees[1:])]).decision == "no_overlap"
+
+
+def test_one_known_landmark_with_a_heading_places_map_2():
+    arms = (Link("open", 0.0), Link("blocked", 1.57), Link("blocked", 3.14), Link("open", -1.57))
+    map1 = LandmarkMap("A", (Landmark("a", "corner", 1.0, 2.0, links=arms),), same_as={"a": {"B": "b"}})
+    fused = fuse([map1, LandmarkMap("B", (Landmark("b", "corner", 0.0, 0.0, links=arms),))])
+    assert fused.decision == "merged"
+    assert (fused.pairs[0].T12.x, fused.pairs[0].T12.y) == pytest.approx((1.0, 2.0), abs=1e-6)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from filterpy.stats import NEES
+
 from mapfuse.datasets import se2
 from mapfuse.datasets.simulation.pairs import simulated_pair
 from mapfuse.fusion import fuse
