@@ -16,15 +16,13 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import ARM_TOLERANCE
+from mapfuse.factors.correspondence import SAME_HEADING, SAME_PLACE
 
 from .prepared import PreparedMap
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-#: What two robots mean by the same place differs by this per axis [m] and in direction [rad] (measurement model,
-#: row 10).
-PLACE_SIGMA_M, PLACE_SIGMA_RAD = 0.05, 0.01
 #: Standard deviation [rad] that stands for "no heading to compare".
 NO_HEADING_SIGMA = 10.0
 
@@ -70,7 +68,7 @@ class ArmOverlay:
         for m, within in ((m1, m1.arms_in_covariance[rows, None]), (m2, m2.arms_in_covariance[None, :])):
             own = own + m.map.noise.heading_sigma**2 / 2 * np.maximum(1 / np.maximum(n_used, 1) - within, 0)
         own = np.where(bare, 0.0, np.where(only_travelled, 2 * own, own))
-        variance = np.where(np.isnan(shift), NO_HEADING_SIGMA**2, PLACE_SIGMA_RAD**2 + own)
+        variance = np.where(np.isnan(shift), NO_HEADING_SIGMA**2, SAME_HEADING**2 + own)
         return coincide, met - coincide, shift, variance
 
 
@@ -96,7 +94,7 @@ def residuals(m1: PreparedMap, m2: PreparedMap, T12: Array, arms: ArmOverlay, i:
 def _own_noise(arms: ArmOverlay, i: Index, j: Index) -> Array:
     """Per-pair noise R (k, 3, 3)."""
     R = np.zeros((len(i), 3, 3))
-    R[:, 0, 0] = R[:, 1, 1] = PLACE_SIGMA_M**2
+    R[:, 0, 0] = R[:, 1, 1] = SAME_PLACE**2
     R[:, 2, 2] = arms.variance[i, j]
     return R
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable, signature
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link
+from mapfuse.factors.correspondence import SAME_HEADING, SAME_PLACE
 from mapfuse.factors.heading import arms_variance
 
 from .result import FusedLandmark
@@ -96,7 +97,8 @@ def merged_landmarks(
 
     ``poses``: per map (n, 3) in the group's frame; ``joint`` (3N, 3N): covariance over all recorded landmarks, axes of
     the group's frame, ``covariance`` giving each one's block in it; ``names``: the fused ids, parallel to ``places``.
-    A place recorded by several robots stands where the mean of their records does.
+    A place recorded by several robots stands where the mean of their records does; what one robot means by it is half
+    of row 10 of the measurement model away from where it is.
     """
     name_of = {member: names[k] for k, place in enumerate(places) for member in place.members}
     average = np.zeros((3 * len(places), len(joint)))
@@ -107,7 +109,8 @@ def merged_landmarks(
             average[3 * k : 3 * k + 3, block : block + 3] = np.eye(3) / len(place.members)
             recorded, landmark = maps[member[0]], maps[member[0]].landmarks[member[1]]
             arms = len(signature(landmark).headings)
-            joint[block + 2, block + 2] += arms_variance(recorded, landmark, arms)
+            joint[block + 2, block + 2] += arms_variance(recorded, landmark, arms) + SAME_HEADING**2 / 2
+            joint[[block, block + 1], [block, block + 1]] += SAME_PLACE**2 / 2
     fused_joint = se2.propagate(average, joint)
     landmarks = tuple(
         _landmark(maps, place, poses, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group, name_of)

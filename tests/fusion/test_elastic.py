@@ -10,9 +10,10 @@ from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.factors import FrameKey, Prior, TransformPrior, pair_problem, single_map_problem
+from mapfuse.factors.correspondence import SAME_HEADING, SAME_PLACE
 from mapfuse.factors.noise import PoseNoise
 from mapfuse.fusion.config import SolvingConfig
-from mapfuse.fusion.elastic import NO_HEADING_SIGMA, PLACE_SIGMA_M, PLACE_SIGMA_RAD, ArmOverlay, Joined
+from mapfuse.fusion.elastic import NO_HEADING_SIGMA, ArmOverlay, Joined
 from mapfuse.fusion.growth import PRIOR_SIGMA
 from mapfuse.fusion.prepared import prepare
 from mapfuse.fusion.solve import information, solve
@@ -45,7 +46,7 @@ class Dense:
         own = np.zeros((3 * len(pairs), 3 * len(pairs)))
         for k, (i, j) in enumerate(pairs):
             own[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = np.diag(
-                [PLACE_SIGMA_M**2, PLACE_SIGMA_M**2, joined.arms.variance[i, j]]
+                [SAME_PLACE**2, SAME_PLACE**2, joined.arms.variance[i, j]]
             )
         size = n1 + n2 + 3 + len(own)
         self.C = np.zeros((size, size))
@@ -117,7 +118,7 @@ def test_both_maps_bend_by_their_conditional_means(joined):
     # and so matched landmarks come to lie on each other, as far as two robots mean the same place
     before = np.linalg.norm(joined.r.reshape(-1, 3)[:, :2], axis=1)
     after = np.linalg.norm(p1[joined.i] - p2[joined.j], axis=1)
-    assert after.max() < 4 * PLACE_SIGMA_M < before.max()
+    assert after.max() < 4 * SAME_PLACE < before.max()
     quick = joined.quick_innovation()
     np.testing.assert_allclose(quick[joined.i, joined.j], p1[joined.i] - p2[joined.j])
     assert quick.shape == (len(joined.m1), len(joined.m2), 2)
@@ -269,7 +270,7 @@ def test_arms_laid_on_each_other():
     assert (right.coincide[0, 0], right.contradict[0, 0]) == (4, 0)
     assert right.shift[0, 0] == pytest.approx(0.1)
     # four arms on each side, each with its own half of heading_sigma^2
-    assert right.variance[0, 0] == pytest.approx(PLACE_SIGMA_RAD**2 + 2 * 0.03**2 / 2 / 4)
+    assert right.variance[0, 0] == pytest.approx(SAME_HEADING**2 + 2 * 0.03**2 / 2 / 4)
     quarter = ArmOverlay.at(one, two, 0.2 + np.pi / 2)
     assert (quarter.coincide[0, 0], quarter.contradict[0, 0]) == (2, 2)
     between = ArmOverlay.at(one, two, 0.2 + np.pi / 4)
