@@ -33,7 +33,7 @@ def test_one_landmark_of_two_maps_stands_in_the_middle():
     assert (found.id, found.x, found.y, found.heading) == ("m1", 1.5, 3.0, pytest.approx(0.2))
     assert (found.visit_counter, found.detection_counter, found.existence) == (6, 8, 0.9)
     assert found.sources == {"A": ("c",), "B": ("d",)}
-    # each robot means the place to within half of 0.05^2 m^2 and 0.01^2 rad^2 (row 10); the mean of two, to half of that
+    # each robot means the place to half of 0.05^2 m^2 and 0.01^2 rad^2 (row 10); the mean of two to half of that
     expected = (np.eye(3) + 3 * np.eye(3) + 2 * X) / 4 + np.diag([0.05**2, 0.05**2, 0.01**2]) / 4
     np.testing.assert_allclose(found.covariance, expected)
     assert (matrix.order, matrix.rows) == (("m1",), 3)
