@@ -25,7 +25,7 @@ def _check(section: str, values: object, bounds: dict[str, tuple[float, float]])
     for name, (low, high) in bounds.items():
         value = getattr(values, name)
         if not low <= value <= high:
-            raise ConfigError(f"{section}.{name} is {value!r}; it must lie between {low:g} and {high:g}")
+            raise ConfigError(f"{section}.{name} is {value!r}; it must lie between {low!r} and {high!r}")
 
 
 @dataclass(frozen=True, slots=True)

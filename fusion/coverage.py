@@ -13,6 +13,7 @@ from scipy.spatial.distance import pdist, squareform
 from mapfuse.datasets import se2
 
 from .prepared import PreparedMap
+from .tomap import OTHER_PATHS
 
 Array = NDArray[np.float64]
 
@@ -97,6 +98,13 @@ def _union(low: Array, high: Array) -> float:
     return float(np.clip(high[order] - np.maximum(low[order], reach[:-1]), 0, None).sum())
 
 
+def _ways(prepared: PreparedMap) -> Array:
+    """Where the map's robot was (k, 2) [m]; in a merged map, all its robots."""
+    paths = [prepared.map.path] if prepared.map.path is not None else []
+    paths += [np.asarray(path, dtype=float) for path in prepared.map.extra.get(OTHER_PATHS, {}).values()]
+    return np.concatenate([np.zeros((0, 2)), *(path[:, 1:3] for path in paths)])
+
+
 @dataclass(frozen=True, eq=False)
 class SeenArea:
     """Where a robot would have seen a point landmark: discs of ``radius`` [m] around its path or its landmarks."""
@@ -115,8 +123,8 @@ class SeenArea:
         at = prepared.positions[points]
         if len(at) < 2:
             return cls(at, 1.0)
-        if prepared.map.path is not None and len(prepared.map.path):
-            path = prepared.map.path[:, 1:3]
+        path = _ways(prepared)
+        if len(path):
             return cls(path, max(float(np.quantile(cKDTree(path).query(at)[0], 0.9)), 0.5))
         edges = minimum_spanning_tree(squareform(pdist(at))).data
         return cls(at, max(float(np.quantile(edges, 0.9)) if len(edges) else 0.0, 0.5))

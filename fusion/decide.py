@@ -42,22 +42,17 @@ def posterior(log_odds: Array, contradiction: Array, evidence: EvidenceConfig, o
     with np.errstate(divide="ignore"):
         log_weight = np.logaddexp(np.log1p(-repeats) + log_odds, np.log(repeats) + alike)
     log_weight[best] = log_odds[best]
-    none = -np.inf if overlap_prior == 1 else float(np.log1p(-overlap_prior) - np.log(overlap_prior))
+    none = float(np.log1p(-overlap_prior) - np.log(overlap_prior))
     everything = np.append(log_weight, none)
     weight = np.exp(everything - everything.max())
     return np.asarray(weight / weight.sum())
 
 
-def decide(
-    weighed: list[Weighed], evidence: EvidenceConfig, config: DecisionConfig, overlap_known: bool = False
-) -> Verdict:
-    """The verdict over all weighed hypotheses of one pair of maps.
-
-    ``overlap_known``: the maps name landmarks that they share, so that no overlap is not among the answers.
-    """
+def decide(weighed: list[Weighed], evidence: EvidenceConfig, config: DecisionConfig) -> Verdict:
+    """The verdict over all weighed hypotheses of one pair of maps."""
     odds = np.array([w.log_odds for w in weighed])
     against = np.array([w.contradiction for w in weighed])
-    everything = posterior(odds, against, evidence, 1.0 if overlap_known else config.overlap_prior)
+    everything = posterior(odds, against, evidence, config.overlap_prior)
     order = np.lexsort((-odds, -everything[:-1])) if len(odds) else np.zeros(0, dtype=np.intp)
     ranked = tuple(weighed[k] for k in order)
     probabilities, none = everything[:-1][order], float(everything[-1])

@@ -40,6 +40,7 @@ class Terms:
     ``prior``: density of T12 before looking. ``matches``: corridor landmarks that coincide. ``points``: point landmarks
     that coincide. ``misses``: landmarks the other robot passed and didn't record. ``void``: emptiness both agree on.
     ``arms``: blocked arms that the other robot drove through, or that contradict. ``compass``: agreement of north.
+    ``known``: landmarks that the maps themselves say are the same (``same_as``).
     """
 
     prior: float = 0.0
@@ -50,6 +51,7 @@ class Terms:
     void: float = 0.0
     arms: float = 0.0
     compass: float = 0.0
+    known: float = 0.0
 
     @property
     def total(self) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.errors import MapError, MapfuseError
+from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.jsondata import encode
 from mapfuse.datasets.mapfile import map_to_dict, validate
 from mapfuse.datasets.maps import JointCovariance, LandmarkMap
@@ -31,6 +31,9 @@ from .result import Frame, FusedLandmark, FusedMap, PairResult, RankedHypothesis
 from .solve import Solution, solve
 
 Array = NDArray[np.float64]
+
+#: A map that reaches further than this [m] from its middle is refused.
+LARGEST_MAP_M = 1e6
 
 AT_HOME = Transform(0.0, 0.0, 0.0, np.zeros((3, 3)))
 
@@ -81,12 +84,21 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
 
 def _check(maps: tuple[LandmarkMap, ...]) -> None:
     if not 1 <= len(maps) <= 2:
-        raise MapfuseError(f"fuse takes one or two maps in this version, not {len(maps)}; fuse the result with a third")
+        raise MapfuseError(f"fuse takes one or two maps in this version, not {len(maps)}")
     if len({m.name for m in maps}) < len(maps):
         raise MapfuseError(f"both maps are named {maps[0].name!r}; names must differ, since results refer to them")
     for m in maps:
-        if problems := validate(m):
+        if problems := validate(m) or _strays(m):
             raise MapError(m.name, problems)
+
+
+def _strays(m: LandmarkMap) -> tuple[Problem, ...]:
+    """Landmarks so far from all others that nothing can be computed with them."""
+    if not len(m):
+        return ()
+    off = np.abs(m.positions - np.median(m.positions, axis=0)).max(axis=1)
+    reason = f"lies more than {LARGEST_MAP_M / 1000:g} km from the middle of the map"
+    return tuple(Problem(f"landmarks[{k}]", f"{m.ids[k]!r} {reason}") for k in np.flatnonzero(off > LARGEST_MAP_M))
 
 
 def _provenance(maps: tuple[LandmarkMap, ...], config: FuseConfig) -> dict[str, Any]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,10 +13,14 @@ from mapfuse.datasets.errors import MapError, Problem, UndeterminedError
 from mapfuse.datasets.maps import LandmarkMap
 
 from .config import SolvingConfig
+from .evidence import Weighed
 from .growth import Growth, Pairs, compatible, grow
 from .prepared import PreparedMap
 
 Array = NDArray[np.float64]
+
+#: What a statement of the maps adds to the odds of a hypothesis that agrees with it [nats]: one in a million is wrong.
+KNOWN_NATS = float(np.log(1e6))
 
 
 def known_pairs(map1: LandmarkMap, map2: LandmarkMap) -> Pairs:
@@ -45,6 +52,36 @@ def grow_known(m1: PreparedMap, m2: PreparedMap, known: Pairs, config: SolvingCo
     """The hypothesis that the known pairs propose, grown; None where they don't place map 2."""
     T12 = _placed(m1, m2, known)
     return None if T12 is None else grow(m1, m2, T12, known, config, compatible(m1, m2, known), known)
+
+
+def credited(w: Weighed, known: Pairs) -> Weighed:
+    """The hypothesis with what the maps' own statements add to its odds, where it agrees with them."""
+    if not known or not agrees(w, known) or w.terms.known:
+        return w
+    return replace(w, terms=replace(w.terms, known=KNOWN_NATS), contradiction=w.contradiction + KNOWN_NATS)
+
+
+def agrees(w: Weighed, known: Pairs) -> bool:
+    """Whether all known pairs are matched."""
+    return set(known) <= set(zip(w.growth.i.tolist(), w.growth.j.tolist(), strict=True))
+
+
+def check_known(ranked: Sequence[Weighed], m1: PreparedMap, m2: PreparedMap, known: Pairs) -> None:
+    """Raise where what the maps say is the same can't be so.
+
+    `UndeterminedError` where it places map 2 nowhere; `MapError` where the maps fit better without it, or as well not
+    overlapping: a statement that is wrong must not pass for a merge.
+    """
+    if not known:
+        return
+    if not any(agrees(w, known) for w in ranked):
+        landmarks = tuple((m1.map.name, m1.map.ids[i]) for i, _ in known)
+        raise UndeterminedError("what is known to be the same (same_as) does not place one map in the other", landmarks)
+    if agrees(ranked[0], known) and ranked[0].log_odds > 0:
+        return
+    said = ", ".join(f"{m1.map.ids[i]!r} is {m2.map.ids[j]!r}" for i, j in known)
+    reason = f"says that {said}, which everything else in the maps speaks against"
+    raise MapError(f"{m1.map.name} and {m2.map.name}", (Problem("same_as", reason),))
 
 
 def _placed(m1: PreparedMap, m2: PreparedMap, known: Pairs) -> Array | None:

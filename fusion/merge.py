@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable, signature
-from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link
+from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, LinkType
 from mapfuse.factors.correspondence import SAME_HEADING, SAME_PLACE
 from mapfuse.factors.heading import arms_variance
 
@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 Member = tuple[int, int]  # (map, place in its landmarks)
 
 MAX_LINKS = 4
+#: What an arm is when two robots sensed it differently: what was seen to be passable comes first.
+SURER: tuple[LinkType, ...] = ("door", "open", "blocked", "unknown")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,8 @@ def _joined_link(a: Link, b: Link, weight_b: float) -> Link:
     assert b.heading is not None
     travels = a.travel_counter + b.travel_counter
     same_way = a.connected_to_id == b.connected_to_id
-    one = a if a.connected_to_id is not None or b.connected_to_id is None else b
+    # two robots may have gone different lengths of one way: the merged link leads to the nearer landmark
+    one, _ = sorted((a, b), key=_nearest_first)
     distance = one.distance
     if same_way and a.distance is not None and b.distance is not None:
         w = max(b.travel_counter, 1) / (max(a.travel_counter, 1) + max(b.travel_counter, 1))
@@ -49,7 +52,7 @@ def _joined_link(a: Link, b: Link, weight_b: float) -> Link:
     readings = [link.compass for link in (a, b) if link.compass is not None]
     compass = float(np.angle(np.exp(1j * np.array(readings)).sum())) if readings else None
     return Link(
-        type=a.type if a.type != "unknown" else b.type,
+        type=min(a.type, b.type, key=SURER.index),
         heading=float(se2.wrap(a.heading + weight_b * se2.wrap(b.heading - a.heading))),
         compass=compass,
         connected_to_id=one.connected_to_id,
@@ -57,6 +60,10 @@ def _joined_link(a: Link, b: Link, weight_b: float) -> Link:
         travel_counter=travels if same_way else one.travel_counter,
         extra={**b.extra, **a.extra},
     )
+
+
+def _nearest_first(link: Link) -> tuple[bool, float, str]:
+    return link.connected_to_id is None, np.inf if link.distance is None else link.distance, link.connected_to_id or ""
 
 
 def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
@@ -130,8 +137,10 @@ def _landmark(
     group: int,
     name_of: Mapping[Member, str],
 ) -> FusedLandmark:
-    recorded = [maps[r].landmarks[k] for r, k in place.members]
-    at = np.array([poses[r][k] for r, k in place.members])
+    # by name, so that what is joined does not depend on the order of the maps
+    members = sorted(place.members, key=lambda member: (maps[member[0]].name, maps[member[0]].ids[member[1]]))
+    recorded = [maps[r].landmarks[k] for r, k in members]
+    at = np.array([poses[r][k] for r, k in members])
     links = _joined_links(
         [
             [
@@ -142,7 +151,7 @@ def _landmark(
                 )
                 for link in l.links
             ]
-            for l, pose, (r, k) in zip(recorded, at, place.members, strict=True)
+            for l, pose, (r, k) in zip(recorded, at, members, strict=True)
         ]
     )
     x, y = at[:, :2].mean(axis=0)
@@ -152,7 +161,7 @@ def _landmark(
     if heading is None and headings:
         heading = float(np.angle(np.exp(1j * np.array(headings)).sum()))
     sources: dict[str, tuple[str, ...]] = {}
-    for r, k in sorted(place.members, key=lambda member: (maps[member[0]].name, maps[member[0]].ids[member[1]])):
+    for r, k in members:
         sources[maps[r].name] = (*sources.get(maps[r].name, ()), maps[r].ids[k])
     return FusedLandmark(
         id=name_of[place.members[0]],

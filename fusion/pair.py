@@ -20,7 +20,7 @@ from .config import FuseConfig, SolvingConfig
 from .decide import Verdict, decide
 from .evidence import Weighed, weigh
 from .growth import Growth, Pairs, compatible, grow, joined_at
-from .known import grow_known, known_pairs
+from .known import check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
 from .solve import Solution, solve
 
@@ -65,7 +65,7 @@ def grow_all(
 ) -> list[Growth]:
     """Every distinct hypothesis grown; those whose seed an earlier one explains are the same answer.
 
-    Where landmarks are ``known`` to be the same, they propose too, and what contradicts them is left out.
+    Where landmarks are ``known`` to be the same, they propose too.
     """
     may = compatible(m1, m2, known)
     grown: list[Growth] = []
@@ -81,7 +81,7 @@ def grow_all(
         grown.append(growth)
     by_known = grow_known(m1, m2, known, config)
     grown = [by_known, *grown] if by_known is not None else grown
-    return [g for g in grown if g.places_map2 and set(known) <= set(zip(g.i.tolist(), g.j.tolist(), strict=True))]
+    return [g for g in grown if g.places_map2]
 
 
 def _seed(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> tuple[tuple[int, int], ...]:
@@ -137,14 +137,22 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutco
     hypotheses = propose(straightened(m1), straightened(m2), config.matching)
     known = known_pairs(m1.map, m2.map)
     grown = grow_all(m1, m2, hypotheses, config.solving, known)
-    weighed = _distinct([weigh(g, background, config.evidence) for g in grown], config.matching.tolerance_m)
-    verdict = decide(weighed, config.evidence, config.decision, overlap_known=bool(known))
+    weighed = [credited(weigh(g, background, config.evidence), known) for g in grown]
+    weighed = _distinct(weighed, config.matching.tolerance_m)
+    verdict = decide(weighed, config.evidence, config.decision)
     solved: dict[int, tuple[Weighed, Solution]] = {}
     for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):
         if probability >= NEGLIGIBLE:  # what cannot be the answer keeps the elastic match's T12
             solved[id(w)] = _solved(w, background, config)
-    again = [solved[id(w)][0] if id(w) in solved else w for w in verdict.ranked]
-    verdict = decide(again, config.evidence, config.decision, overlap_known=bool(known))
-    solutions = {id(w): s for w, s in solved.values()}
+    first = verdict.ranked
+    again = [credited(solved[id(w)][0], known) if id(w) in solved else w for w in first]
+    verdict = decide(again, config.evidence, config.decision)
+    check_known(verdict.ranked, m1, m2, known)
+    solutions = {
+        id(after): solved[id(before)][1] for before, after in zip(first, again, strict=True) if id(before) in solved
+    }
+    best = verdict.ranked[0] if verdict.decision == "merged" else None
+    if best is not None and id(best) not in solutions:  # weighed again, one beyond the shortlist may come out first
+        solutions[id(best)] = _solved(best, background, config)[1]
     by_rank = {k: solutions[id(w)] for k, w in enumerate(verdict.ranked) if id(w) in solutions}
     return PairOutcome(m1, m2, background, verdict, by_rank)

@@ -9,26 +9,33 @@ from .evidence import Weighed
 
 #: Landmarks that a reason names before it says "and so many more".
 NAMED = 4
+#: Probability above which a placement counts as possible.
+POSSIBLE = 1e-3
 
 
 def reason(verdict: Verdict, swapped: bool) -> str:
     """Why a pair of maps was decided as it was; ``swapped``: name map 2's landmarks before map 1's."""
     if not verdict.ranked:
-        return "no landmarks of the two maps can be the same: no transformation is proposed"
+        return (
+            "there is nothing to compare: no landmark of one map can be one of the other; nothing speaks for an overlap"
+        )
     best = verdict.ranked[0]
     evidence = f"{_matches(best, swapped)}; {_misses(best)}; {best.log_odds:+.1f} nats against no overlap"
     rival = _rival(verdict)
     if verdict.decision == "merged":
         return f"{evidence}{rival}"
     if verdict.decision == "ambiguous":
-        return (
-            f"not decided, no overlap still has {_chance(verdict.no_overlap)}: the best placement has {evidence}{rival}"
-        )
+        return f"not decided: {_open(verdict)}; the best one has {evidence}{rival}"
     return f"no placement stands out; the best one has {evidence}"
 
 
-def _chance(probability: float) -> str:
-    return "less than 0.0001" if probability < 1e-4 else f"{probability:.4f}"
+def _open(verdict: Verdict) -> str:
+    """How many answers are left."""
+    possible = int((verdict.probabilities > POSSIBLE).sum())
+    placements = f"{possible} placements are possible" if possible != 1 else "one placement is possible"
+    if verdict.no_overlap < POSSIBLE:
+        return placements
+    return f"{placements}, and no overlap has {verdict.no_overlap:.3f}"
 
 
 def _listed(names: list[str]) -> str:
@@ -57,9 +64,8 @@ def _rival(verdict: Verdict) -> str:
         return ""
     first, second = (max(float(p), 1e-300) for p in verdict.probabilities[:2])
     count = len(verdict.ranked[1].growth.i)
+    landmarks = f"{count} common landmark{'s' if count != 1 else ''}"
     gap = math.log(first / second)
     if gap < 0.05:
-        return f"; a rival with {count} common landmarks is as probable"
-    return (
-        f"; the nearest rival, with {count} common landmark{'s' if count != 1 else ''}, is {gap:.1f} nats less probable"
-    )
+        return f"; a rival with {landmarks} is as probable"
+    return f"; the nearest rival, with {landmarks}, is {gap:.1f} nats less probable"

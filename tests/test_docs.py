@@ -105,6 +105,7 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
         "void": between_ends * ((nu["corner"] + nu["junction"]) * 0.8 * 0.7 + nu["door"] * 0.9 * 0.85),
         "arms": 0.0,
         "compass": 0.0,
+        "known": 0.0,
     }
     found = {field.name: getattr(weighed.terms, field.name) for field in fields(weighed.terms)}
     assert found == pytest.approx(expected, abs=2e-3)

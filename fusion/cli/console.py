@@ -51,6 +51,9 @@ def _write(what: str | bytes) -> None:
     except BrokenPipeError:
         # what is still buffered must not fail again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:  # a full disk behind a redirection
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise UsageError(f"can't write to standard output: {error.strerror}") from None
 
 
 def complain(text: str) -> None:

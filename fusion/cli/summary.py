@@ -55,7 +55,8 @@ def _pair(pair: PairResult, *, named: bool) -> str:
             sigmas = np.sqrt(np.diag(pair.mixture_covariance))
             spread = f"{sigmas[0]:.3f} m, {sigmas[1]:.3f} m, {math.degrees(sigmas[2]):.2f} deg"
             lines.append(f"  ± with the spread over all hypotheses added: {spread}")
-        lines.append(f"  {len(pair.correspondences)} common landmarks")
+        count = len(pair.correspondences)
+        lines.append(f"  {count} common landmark{'s' if count != 1 else ''}")
     elif pair.hypotheses:
         lines += _rivals(pair)
     lines.append(f"  no overlap: {percent(pair.no_overlap_probability)}")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from mapfuse.datasets import Landmark, LandmarkMap, Link
-from mapfuse.datasets.errors import MapError
+from mapfuse.datasets.errors import MapError, UndeterminedError
 from mapfuse.datasets.simulation.pairs import simulated_pair
 from mapfuse.fusion import fuse
 
@@ -29,7 +29,7 @@ def test_one_known_landmark_decides_a_symmetric_floor(symmetric, told_by):
     fused = fuse([map1, map2])
     assert fused.decision == "merged"
     assert (a, b) in fused.pairs[0].correspondences
-    assert fused.pairs[0].no_overlap_probability == 0
+    assert fused.pairs[0].no_overlap_probability < 1e-6
     assert set(fused.pairs[0].correspondences) <= set(truth.true_pairs("A", "B"))
 
 
@@ -64,7 +64,22 @@ def test_one_landmark_cannot_be_two(symmetric):
 def test_one_known_tree_places_nothing():
     trees = tuple(Landmark(f"t{k}", "tree", 3.0 * k, 0.5 * k * k) for k in range(2))
     map1 = LandmarkMap("A", trees[:1], same_as={"t0": {"B": "t1"}})
-    assert fuse([map1, LandmarkMap("B", trees[1:])]).decision == "no_overlap"
+    with pytest.raises(UndeterminedError, match="does not place one map in the other: A:t0"):
+        fuse([map1, LandmarkMap("B", trees[1:])])
+
+
+def test_a_statement_that_the_maps_contradict_is_an_error():
+    map1, map2, truth = simulated_pair(6)
+    (a, _), (_, b), *_ = truth.true_pairs("A", "B")
+    with pytest.raises(MapError, match=r"A and B.*same_as.*speaks against"):
+        fuse([map1.replace(same_as={a: {"B": b}}), map2])
+
+
+def test_two_statements_that_contradict_each_other_are_an_error():
+    trees = [tuple(Landmark(f"t{k}", "tree", x, 0.0) for k, x in enumerate(at)) for at in ((0.0, 3.0), (0.0, 50.0))]
+    map1 = LandmarkMap("A", trees[0], same_as={"t0": {"B": "t0"}, "t1": {"B": "t1"}})
+    with pytest.raises(MapError, match="same_as"):
+        fuse([map1, LandmarkMap("B", trees[1])])
 
 
 def test_one_known_landmark_with_a_heading_places_map_2():

@@ -145,3 +145,23 @@ def test_the_whole_of_a_simulated_pair():
     twice = [np.trace(l.covariance[:2, :2]) for l in fused.landmarks if len(l.sources) == 2]
     once = [np.trace(l.covariance[:2, :2]) for l in fused.landmarks if len(l.sources) == 1]
     assert np.median(twice) < np.median(once)
+
+
+def test_links_do_not_depend_on_the_order_of_the_maps():
+    map1, map2, _ = simulated_pair(3, compass=True)
+
+    def links(fused):
+        return {
+            tuple(sorted(landmark.sources.items())): sorted(
+                (link.type, link.connected_to_id or "", link.distance or 0.0, link.travel_counter, link.compass or 0.0)
+                for link in landmark.links
+            )
+            for landmark in fused.landmarks
+        }
+
+    one, other = fuse([map1, map2]), fuse([map2, map1])
+    assert one.decision == "merged"
+    for key, expected in links(one).items():
+        found = links(other)[key]
+        assert [link[:2] for link in found] == [link[:2] for link in expected]
+        np.testing.assert_allclose([link[2:] for link in found], [link[2:] for link in expected], atol=1e-9)
