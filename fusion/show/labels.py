@@ -48,7 +48,7 @@ def place_labels(axes: Axes, scene: Scene, size: Sizes, metres_per_point: float)
         axes.text(
             float(centre[0] * metres_per_point),
             float(centre[1] * metres_per_point),
-            identifier,
+            drawable(identifier),
             fontsize=size.label,
             color=GREY,
             ha="center",
@@ -77,6 +77,7 @@ def wrapped(
     What doesn't fit into ``max_lines`` ends in an ellipsis.
     """
     probe = figure.text(0, 0, "", fontsize=fontsize, weight=weight, parse_math=False)
+    text = drawable(text)
     try:
         lines = [line for part in text.splitlines() or [""] for line in _fitting(probe, figure, part, width_in)]
     finally:
@@ -103,7 +104,17 @@ def shortened(name: str, longest: int = 60) -> str:
     >>> shortened("ground floor, northern wing", 20)
     'ground floor…rn wing'
     """
+    name = drawable(name)
     return name if len(name) <= longest else f"{name[: longest - 8]}…{name[-7:]}"
+
+
+def drawable(text: str) -> str:
+    """Text of a file without what would steer its drawing (control characters, changes of writing direction).
+
+    >>> drawable("a\u202eb")
+    'a�b'
+    """
+    return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def probability_text(p: float) -> str:

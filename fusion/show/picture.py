@@ -6,6 +6,9 @@ Sukhatme (2000), doubtful ones hollow. What wasn't merged is never drawn as if i
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +47,8 @@ def draw_fused(
     from .fused_page import fused_page
     from .page import draw_page
 
-    return draw_page(fused_page(fused), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
+    with _any_script():
+        return draw_page(fused_page(fused), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
 
 
 def draw_map(
@@ -64,4 +68,13 @@ def draw_map(
     from .fused_page import map_page
     from .page import draw_page
 
-    return draw_page(map_page(map_), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
+    with _any_script():
+        return draw_page(map_page(map_), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
+
+
+@contextmanager
+def _any_script() -> Iterator[None]:
+    """Names may be in scripts that the font lacks; they are drawn as boxes, which is no reason for warnings."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")
+        yield

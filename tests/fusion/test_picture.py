@@ -477,3 +477,11 @@ def test_matplotlib_is_loaded_when_a_picture_is_drawn_and_pyplot_never() -> None
         "assert 'matplotlib.figure' in sys.modules; assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_names_cannot_steer_the_drawing(tmp_path: Path) -> None:
+    strange = Landmark("\u202enoitcerid\x1b[2J", "corner", 0.0, 0.0)
+    figure = draw_map(LandmarkMap("階 \u202eright to left", (strange,)), tmp_path / "strange.png")
+    drawn = "".join(text.get_text() for text in figure.findobj(Text))
+    assert "\u202e" not in drawn
+    assert "\x1b" not in drawn
