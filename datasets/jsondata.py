@@ -220,6 +220,29 @@ def _text_problems(document: Any) -> Iterator[Problem]:
             yield Problem(render(place), f"must be a finite number, not {said(item)}")
 
 
+#: What the documents of each family of formats are.
+_FAMILIES = {"mapfuse.map": "recorded map", "mapfuse.fused": "fused map", "mapfuse.truth": "truth"}
+
+
+def format_fault(found: Any, expected: str) -> str | None:
+    """What is wrong with the ``format`` that a document states, where it should be ``expected``; None: nothing.
+
+    >>> format_fault("mapfuse.map/2", "mapfuse.map/1")
+    'is "mapfuse.map/2", which is newer than this version of mapfuse reads (mapfuse.map/1)'
+    """
+    if found == expected:
+        return None
+    own, _, latest = expected.partition("/")
+    if found is None:
+        return f"is missing; a {_FAMILIES[own]} says {said(expected)}"
+    family, _, number = found.partition("/") if isinstance(found, str) else ("", "", "")
+    if family == own and number.isdecimal() and len(number) < 10 and int(number) > int(latest):
+        return f"is {said(found)}, which is newer than this version of mapfuse reads ({expected})"
+    if family in _FAMILIES and family != own:
+        return f"is {said(found)}: a {_FAMILIES[family]}, where a {_FAMILIES[own]} ({expected}) is expected"
+    return f"must be {said(expected)}, not {said(found)}"
+
+
 def encode(document: Mapping[str, Any]) -> bytes:
     """A document as UTF-8 text: one line per member, and one per item of a list of objects or lists.
 

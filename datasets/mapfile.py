@@ -24,7 +24,7 @@ import numpy as np
 from .arms import contradiction, heading_of, wrap
 from .errors import FileFormatError, MapError, Problem
 from .files import read_whole, write_whole
-from .jsondata import MAX_PROBLEMS, Place, decode, encode, json_faults, render, said
+from .jsondata import MAX_PROBLEMS, Place, decode, encode, format_fault, json_faults, render, said
 from .mapfields import FORMAT, JOINT_COVARIANCE, LANDMARK, LINK, MAP, MAX_LINKS, NOISE, NULL_MEANS, Field
 from .maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
 from .rules import Faults, RuleError, covariance_fault
@@ -149,7 +149,7 @@ def _map(document: Any, faults: Faults) -> LandmarkMap | None:
     if not isinstance(document, dict):
         faults.append(((), f"must be an object, not {said(document)}"))
         return None
-    if reason := _format_fault(document.get("format")):
+    if reason := format_fault(document.get("format"), FORMAT):
         faults.append((("format",), reason))
         return None
     nested = ("format", "noise", "landmarks", "joint_covariance")
@@ -167,19 +167,6 @@ def _map(document: Any, faults: Faults) -> LandmarkMap | None:
         if identifier not in ids:
             faults.append((("same_as", identifier), "is no landmark of this map"))
     return None if faults else LandmarkMap(**values)
-
-
-def _format_fault(format_: Any) -> str | None:
-    if format_ == FORMAT:
-        return None
-    if format_ is None:
-        return f"is missing; a recorded map says {said(FORMAT)}"
-    family, _, number = format_.partition("/") if isinstance(format_, str) else ("", "", "")
-    if family == "mapfuse.map" and number.isdecimal() and len(number) < 10 and int(number) > 1:
-        return f"is {said(format_)}, which is newer than this version of mapfuse reads ({FORMAT})"
-    if family == "mapfuse.fused":
-        return f"is {said(format_)}: a fused map, where a recorded one ({FORMAT}) is expected"
-    return f"must be {said(FORMAT)}, not {said(format_)}"
 
 
 def _values(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from . import se2
 from .errors import FileFormatError, MapfuseError, Problem
 from .files import read_whole, write_whole
-from .jsondata import decode, encode, json_faults, render, said
+from .jsondata import decode, encode, format_fault, json_faults, render, said
 from .transform import Transform
 from .values import frozen_array, rebuilt
 
@@ -124,8 +124,8 @@ def _check(document: Any) -> tuple[Truth | None, list[Problem]]:
     """The truth that a document holds, or what is wrong with it."""
     if not isinstance(document, dict):
         return None, [Problem("", f"must be an object, not {said(document)}")]
-    if document.get("format") != FORMAT:
-        return None, [Problem("format", f"is {said(document.get('format'))}; this version reads {said(FORMAT)}")]
+    if fault := format_fault(document.get("format"), FORMAT):
+        return None, [Problem("format", fault)]
     problems: list[Problem] = []
     frames = _numbers(document, "frames", ("x", "y", "theta"), problems)
     places = _numbers(document, "places", ("x", "y"), problems)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mapfuse.datasets.errors import Problem
-from mapfuse.datasets.jsondata import MAX_PROBLEMS, Place, json_faults, render, said
+from mapfuse.datasets.jsondata import MAX_PROBLEMS, Place, format_fault, json_faults, render, said
 from mapfuse.datasets.mapfields import LINK, MAX_LINKS
 from mapfuse.datasets.mapfile import check_map
 from mapfuse.datasets.maps import LandmarkMap, Link
@@ -142,7 +142,7 @@ def check_fused(document: Any) -> tuple[FusedMap | None, tuple[Problem, ...]]:
     """A decoded JSON document as a result, or None and everything that is wrong with it (up to `MAX_PROBLEMS`)."""
     if not isinstance(document, dict):
         return None, (Problem("", f"must be an object, not {said(document)}"),)
-    if reason := _format_fault(document.get("format")):
+    if reason := format_fault(document.get("format"), FORMAT):
         return None, (Problem("format", reason),)
     faults: Faults = []
     values = _values(document, FUSED, ("decision", "probability", "maps", "groups"), (), faults, NESTED)
@@ -158,19 +158,6 @@ def check_fused(document: Any) -> tuple[FusedMap | None, tuple[Problem, ...]]:
         _check_ids(values, faults)
     problems = [*(Problem(render(place), reason) for place, reason in islice(faults, MAX_PROBLEMS)), *problems]
     return (None if problems else FusedMap(**values)), tuple(problems[:MAX_PROBLEMS])
-
-
-def _format_fault(format_: Any) -> str | None:
-    if format_ == FORMAT:
-        return None
-    if format_ is None:
-        return f"is missing; a fused map says {said(FORMAT)}"
-    family, _, number = format_.partition("/") if isinstance(format_, str) else ("", "", "")
-    if family == "mapfuse.fused" and number.isdecimal() and len(number) < 10 and int(number) > 1:
-        return f"is {said(format_)}, which is newer than this version of mapfuse reads ({FORMAT})"
-    if family == "mapfuse.map":
-        return f"is {said(format_)}: a recorded map, where a fused one ({FORMAT}) is expected"
-    return f"must be {said(FORMAT)}, not {said(format_)}"
 
 
 def _values(

@@ -331,7 +331,7 @@ BROKEN = [
     (["same_as", "c1"], "c4", "same_as.c1", "must be an object of map names"),
     (["same_as", "c1", "D 9"], 4, 'same_as.c1["D 9"]', "must be text, not 4"),
     (["format"], "mapfuse.map/2", "format", "is newer than this version of mapfuse reads"),
-    (["format"], "mapfuse.fused/1", "format", "a fused map, where a recorded one"),
+    (["format"], "mapfuse.fused/1", "format", "a fused map, where a recorded map"),
     (["format"], "mapfuse.map/0", "format", 'must be "mapfuse.map/1", not "mapfuse.map/0"'),
     (["format"], 1, "format", 'must be "mapfuse.map/1", not 1'),
     (["format"], None, "format", "is missing"),
