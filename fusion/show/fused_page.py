@@ -9,13 +9,15 @@ import numpy as np
 
 from mapfuse.datasets.maps import LandmarkMap
 
-from ..result import FusedMap, PairResult
+from ..result import FusedMap, PairResult, RankedHypothesis
 from .labels import probability_text, shortened, transform_text
 from .layout import MAX_SOURCES, Panel
 from .scene import Scene, laid_together, scene_of_group, scene_of_map
 
 #: So many rivals of an ambiguous pair are drawn, merged groups likewise; the text names how many there are.
 MAX_RIVALS, MAX_GROUPS, MAX_FACTS = 3, 4, 5
+#: Probability above which a placement is worth drawing.
+POSSIBLE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,23 +140,29 @@ def _rival_panels(fused: FusedMap, pair: PairResult) -> tuple[Panel, ...]:
             laid_together(first, second.moved(h.T12.array)),
             labelled=False,  # both maps may use the same ids
         )
-        for k, h in enumerate(pair.hypotheses[:MAX_RIVALS], start=1)
+        for k, h in enumerate(_possible(pair)[:MAX_RIVALS], start=1)
     )
+
+
+def _possible(pair: PairResult) -> tuple[RankedHypothesis, ...]:
+    """The placements that may be the right one: the best, and those worth looking at besides."""
+    return tuple(h for k, h in enumerate(pair.hypotheses) if k == 0 or h.probability >= POSSIBLE)
 
 
 def _ambiguous_statement(pair: PairResult, drawn: int) -> str:
     """What is known of an ambiguous pair; placements that aren't drawn are listed."""
     first, second = map(shortened, pair.maps)
+    possible = _possible(pair)
     lines = [
         f"Ambiguous: nothing is merged. Where {second} lies in {first} can't be told: "
-        f"{counted(len(pair.hypotheses), 'placement')} possible, "
+        f"{counted(len(possible), 'placement')} possible, "
         f"probability of no overlap {probability_text(pair.no_overlap_probability)}."
     ]
     lines += [
         f"{k}:  probability {probability_text(h.probability)}, {h.count} matching,  {transform_text(h.T12)}"
-        for k, h in list(enumerate(pair.hypotheses[:MAX_FACTS], start=1))[drawn:]
+        for k, h in list(enumerate(possible[:MAX_FACTS], start=1))[drawn:]
     ]
-    more = len(pair.hypotheses) - max(drawn, MAX_FACTS)
+    more = len(possible) - max(drawn, MAX_FACTS)
     return "\n".join([*lines, f"and {more} more"] if more > 0 else lines)
 
 
