@@ -172,15 +172,6 @@ def transform_jacobians(T: ArrayLike, points: ArrayLike) -> tuple[Array, Array]:
     return by_T, np.broadcast_to(R, (*shape, 2, 2))
 
 
-def body_to_axes(theta: ArrayLike, covariance: ArrayLike) -> Array:
-    """Covariance in a pose's body tangent -> in the axes of the frame it is expressed in (theta: its angle)."""
-    theta = np.asarray(theta, dtype=float)
-    J = np.zeros((*theta.shape, 3, 3))
-    J[..., :2, :2] = rotation(theta)
-    J[..., 2, 2] = 1
-    return propagate(J, covariance)
-
-
 @dataclass(frozen=True, slots=True)
 class Alignment:
     """A weighted rigid alignment: ``T12`` (3,), its covariance (3, 3), and what is left per point."""

@@ -18,7 +18,7 @@ from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapfuseError, TooLargeError, UndeterminedError
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import Correspondence, FrameKey, Gauge, LandmarkKey, Problem, Unknown
-from mapfuse.factors.axes import pose_rotations
+from mapfuse.factors.axes import pose_rotations, pose_to_axes
 
 from .config import SolvingConfig, chi2_gate
 
@@ -208,7 +208,7 @@ def left_out(solution: Solution, match: Correspondence) -> float:
     rows = slice(0, match.dof)
     n = match.noise
     square_root = np.array([[n.xx, n.xy, 0], [0, n.yy, 0], [0, 0, n.tt or 1.0]])
-    R = se2.body_to_axes(T_b[2], np.linalg.inv(square_root.T @ square_root))
+    R = pose_to_axes(T_b[2], np.linalg.inv(square_root.T @ square_root))
     free = (R - moved)[rows, rows]
     return float(r[rows] @ np.linalg.solve(free, r[rows]))
 

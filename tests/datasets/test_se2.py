@@ -177,14 +177,6 @@ def test_composing_with_the_exact_identity_keeps_the_covariance():
     np.testing.assert_allclose(se2.compose_covariance(se2.IDENTITY, none, T, COV_A), COV_A)
 
 
-def test_body_covariance_is_that_of_errors_in_the_bodys_tangent():
-    rng = np.random.default_rng(6)
-    T = np.array([5.0, -2.0, 2.2])
-    small = COV_A * 1e-4
-    samples = se2.compose(T, se2.exp(rng.multivariate_normal(np.zeros(3), small, 100_000)))
-    assert_same_covariance(sampled(samples, T), se2.body_to_axes(T[2], small), 0.02)
-
-
 def test_alignment_recovers_an_exact_motion():
     for T12 in POSES[:100]:
         p2 = RNG.normal(size=(RNG.integers(2, 9), 2)) * 10
