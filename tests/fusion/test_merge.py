@@ -8,7 +8,7 @@ import pytest
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.fusion import fuse
-from mapfuse.fusion.merge import Place, merged_landmarks
+from mapfuse.fusion.merge import Place, _joined_links, merged_landmarks
 
 QUARTER = np.pi / 2
 
@@ -165,3 +165,13 @@ def test_links_do_not_depend_on_the_order_of_the_maps():
         found = links(other)[key]
         assert [link[:2] for link in found] == [link[:2] for link in expected]
         np.testing.assert_allclose([link[2:] for link in found], [link[2:] for link in expected], atol=1e-9)
+
+
+@pytest.mark.parametrize("far_first", [True, False])
+def test_one_way_gone_to_different_lengths_leads_to_the_nearer_landmark(far_first):
+    far = Link("open", 0.0, connected_to_id="m9", distance=9.0, travel_counter=1)
+    near = Link("open", 0.02, connected_to_id="m4", distance=4.0, travel_counter=3)
+    ways = [[far], [near]] if far_first else [[near], [far]]
+    (link,) = _joined_links(ways)
+    assert (link.connected_to_id, link.distance, link.travel_counter) == ("m4", 4.0, 3)
+    assert link.heading == pytest.approx(0.01)
