@@ -129,7 +129,8 @@ def build_problem(
     """The problem of several maps under a hypothesis of how their frames lie and which landmarks are one.
 
     ``transforms``: for each map ``T_r`` (3,), into the merged frame; that of map ``reference`` is held there.
-    ``matches``: pairs of `LandmarkKey` of different maps. ``loss``: robust loss of the correspondences (None: plain).
+    ``matches``: pairs of `LandmarkKey` of different maps; of a landmark that n maps have, all n (n-1) / 2 of them
+    (`correspondence` says why). ``loss``: robust loss of the correspondences (None: plain).
     ``starts``: for each map None (recorded positions) or better starting positions, (n, 2) [m] or poses (n, 3), in its
     own frame and the order of its landmarks; starting values only.
 
@@ -269,7 +270,9 @@ def _correspondences(
     maps: Sequence[LandmarkMap], initial: Poses, matches: Iterable[Match], loss: Loss | None
 ) -> list[Correspondence]:
     found: list[Correspondence] = []
-    for a, b in dict.fromkeys(matches):
+    matches = list(dict.fromkeys(matches))
+    robots = _robots(matches)
+    for a, b in matches:
         for key in (a, b):
             if not (0 <= key.map < len(maps) and key.id in maps[key.map].index_from_id):
                 reason = f"a correspondence names landmark {key.id!r}, which map {key.map} doesn't have"
@@ -277,5 +280,14 @@ def _correspondences(
         if a.map == b.map:
             raise errors.MapfuseError(f"a correspondence joins {a.id!r} and {b.id!r} of one map")
         rotation = float(se2.wrap(initial[FrameKey(b.map)][2] - initial[FrameKey(a.map)][2]))
-        found.append(correspondence(maps[a.map], a, maps[b.map], b, rotation, loss))
+        found.append(correspondence(maps[a.map], a, maps[b.map], b, rotation, loss, robots[a]))
     return found
+
+
+def _robots(matches: Iterable[Match]) -> dict[LandmarkKey, int]:
+    """How many recorded landmarks are one place with each matched one, itself counted."""
+    place: dict[LandmarkKey, set[LandmarkKey]] = {}
+    for a, b in matches:
+        joined = place.get(a, {a}) | place.get(b, {b})
+        place |= dict.fromkeys(joined, joined)
+    return {key: len(members) for key, members in place.items()}

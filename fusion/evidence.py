@@ -194,24 +194,57 @@ def _through_blocked(
 def passing(growth: Growth, background: Background, config: EvidenceConfig) -> Passing:
     """What each robot passed of the other's map, both maps bent onto each other."""
     joined = growth.joined
-    m1, m2 = joined.m1, joined.m2
     p1, p2 = joined.corrected()
+    return passing_at(joined.T12, (p1, p2), (joined.i, joined.j), background, config)
+
+
+def passing_at(
+    T12: Array,
+    placed: tuple[Array, Array],
+    matched: tuple[NDArray[np.intp], NDArray[np.intp]],
+    background: Background,
+    config: EvidenceConfig,
+) -> Passing:
+    """What each robot passed of the other's map, map 2 lying at ``T12`` (3,).
+
+    ``placed``: where the landmarks of both maps then are, (n1, 2) and (n2, 2) in frame 1; ``matched``: places of those
+    that are the same.
+    """
+    m1, m2 = background.m1, background.m2
+    p1, p2 = placed
     angle = np.deg2rad(config.corridor_angle_deg)
     s1, s2 = Segments.of(m1, p1), Segments.of(m2, p2)
     by1, by2 = passed(p2, s1, config.corridor_width_m), passed(p1, s2, config.corridor_width_m)
-    blocked = _through_blocked(m2, p2, float(joined.T12[2]), by1, s1, angle)
+    blocked = _through_blocked(m2, p2, float(T12[2]), by1, s1, angle)
     blocked += _through_blocked(m1, p1, 0.0, by2, s2, angle)
     free1, free2 = np.ones(len(m1), dtype=bool), np.ones(len(m2), dtype=bool)
-    free1[joined.i], free2[joined.j] = False, False
+    free1[matched[0]], free2[matched[1]] = False, False
     # where both have a landmark of another kind the place was recorded, only differently
     in1 = background.area1.contains(p2) & background.points2
-    in2 = background.area2.moved(joined.T12).contains(p1) & background.points1
+    in2 = background.area2.moved(T12).contains(p1) & background.points1
     missed1 = np.flatnonzero(free1 & ((by2.any(axis=1) & ~background.points1) | in2))
     missed2 = np.flatnonzero(free2 & ((by1.any(axis=1) & ~background.points2) | in1))
     overlap = overlap_length(s1, s2, config.corridor_width_m, angle)
     between_ends = overlap_length(s1, s2, config.corridor_width_m, angle, END_MARGIN_M)
-    area = background.area1.area(background.area2.moved(joined.T12)) if background.area_rate else 0.0
+    area = background.area1.area(background.area2.moved(T12)) if background.area_rate else 0.0
     return Passing(missed1, missed2, blocked, overlap, between_ends, area)
+
+
+def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float]:
+    """Misses, void and arms [nats]: what is said by what two robots did not see of each other's maps (`Terms`)."""
+    m1, m2 = background.m1, background.m2
+    void = sum(
+        rate * _detected(m1, name) * _detected(m2, name) * extent
+        for rates, extent in ((background.rate, way.void_overlap), (background.area_rate, way.area_overlap))
+        for name, rate in rates.items()
+    )
+    misses = sum(_miss(m1, k, m2) for k in way.missed1) + sum(_miss(m2, k, m1) for k in way.missed2)
+    return float(misses), float(void), _per_arm(config) * way.blocked
+
+
+def _per_arm(config: EvidenceConfig) -> float:
+    """What an arm that contradicts takes off [nats]."""
+    return float(np.log(config.arm_error_rate / 0.5))
 
 
 def _miss(m: PreparedMap, k: int, other: PreparedMap) -> float:
@@ -263,24 +296,17 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     elif len(joined.i):
         prior += _point_prior(background)
     spatial = sum(m1.map.types[i] != DOOR for i in joined.i[corridor])
-    void = (
-        sum(rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.rate.items())
-        * way.void_overlap
-        + sum(rate * _detected(m1, name) * _detected(m2, name) for name, rate in background.area_rate.items())
-        * way.area_overlap
-    )
-    contradict = int(joined.arms.contradict[joined.i, joined.j].sum()) + way.blocked
-    per_arm = float(np.log(config.arm_error_rate / 0.5))
-    misses = sum(_miss(m1, k, m2) for k in way.missed1) + sum(_miss(m2, k, m1) for k in way.missed2)
+    misses, void, arms = emptiness(way, background, config)
+    arms += _per_arm(config) * int(joined.arms.contradict[joined.i, joined.j].sum())
     compass = _compass(m1, m2, float(joined.T12[2]))
     terms = Terms(
         prior=prior,
         matches=_corridor_matches(joined, background),
         points=_point_matches(joined, background),
         junctions=-config.junction_discount * max(0, spatial - 1),
-        misses=float(misses),
-        void=float(void),
-        arms=per_arm * contradict,
+        misses=misses,
+        void=void,
+        arms=arms,
         compass=compass,
     )
     sides = [(m1, k, m2) for k in way.missed1] + [(m2, k, m1) for k in way.missed2]
@@ -290,7 +316,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     return Weighed(
         growth,
         terms,
-        -alias + per_arm * contradict + compass,
+        -alias + arms + compass,
         tuple(way.missed1.tolist()),
         tuple(way.missed2.tolist()),
     )

@@ -3,32 +3,34 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.jsondata import encode
 from mapfuse.datasets.mapfile import map_to_dict, validate
 from mapfuse.datasets.maps import JointCovariance, LandmarkMap
 from mapfuse.datasets.transform import Transform
-from mapfuse.factors import pair_problem
 
 from .config import FuseConfig
-from .evidence import Weighed
+from .consistent import Choice
 from .existence import existence
 from .far import middle, put_back, shifted
+from .joint import referred_to
+from .members import Emptiness, Members
 from .merge import Place, merged_landmarks
-from .pair import PairOutcome, fuse_pair
+from .pairresult import mixture, pair_result
+from .pairwise import compare
 from .prepared import PreparedMap, prepare
-from .reason import reason
-from .result import Frame, FusedLandmark, FusedMap, PairResult, RankedHypothesis
-from .solve import Solution, solve
+from .result import Decision, Frame, FusedLandmark, FusedMap, PairResult
+from .settle import settled
 
 Array = NDArray[np.float64]
 
@@ -39,14 +41,15 @@ AT_HOME = Transform(0.0, 0.0, 0.0, np.zeros((3, 3)))
 
 
 def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> FusedMap:
-    """Fuse one or two recorded maps, whose relative pose is unknown, into one with its uncertainty.
+    """Fuse recorded maps, whose relative poses are unknown, into one with its uncertainty.
 
-    The result does not depend on the order of the maps, up to the choice of reference: the merged map is in the frame
-    of the first one. Maps that are not merged stand each in its own frame. Overlap need not exist: ``decision`` says
-    what the evidence suffices for.
+    Every pair is compared; what can be true together is merged into groups, each solved as one graph of landmarks. The
+    result does not depend on the order of the maps, up to the choice of reference: a group is in the frame of its
+    first map. Maps that are merged with none stand in their own frames. Overlap need not exist: ``decision`` says what
+    the evidence suffices for.
 
-    Raises `MapfuseError` for no map or more than two, and for two maps of one name; `MapError` for a map that breaks a
-    rule of the format; `TooLargeError` where joint covariances would not fit.
+    Raises `MapfuseError` for no map, and for two maps of one name; `MapError` for a map that breaks a rule of the
+    format; `TooLargeError` where joint covariances would not fit.
 
     >>> from mapfuse.datasets import read_map, recordings
     >>> names = ("ground-floor-vespucci", "ground-floor-milka")
@@ -59,34 +62,59 @@ def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> Fused
     _check(maps)
     origins = {m.name: middle(m) for m in maps}
     near = tuple(shifted(m, origins[m.name]) for m in maps)
-    return put_back(_fuse(near, _provenance(maps, config), config), maps, origins, _mixture)
+    return put_back(_fuse(near, _provenance(maps, config), config), maps, origins, mixture)
 
 
 def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: FuseConfig) -> FusedMap:
     prepared = {m.name: prepare(m, config.solving, np.deg2rad(config.evidence.corridor_angle_deg)) for m in maps}
-    if len(maps) == 1:
-        only = prepared[maps[0].name]
-        return _result(maps, "merged", 1.0, (), [_alone(only, 0, 0)], {maps[0].name: Frame(0, AT_HOME)}, provenance)
     # one order of work whatever the order of input, so that the answer is the same to the last digit
-    first, second = sorted(maps, key=lambda m: m.name)
-    outcome = fuse_pair(prepared[first.name], prepared[second.name], config)
-    swapped = maps[0].name != first.name
-    pair = _pair_result(outcome, swapped)
-    if pair.decision == "merged":
-        group = _merged(outcome, swapped, config)
-        T12 = pair.hypotheses[0].T12
-        frames = {maps[0].name: Frame(0, AT_HOME), maps[1].name: Frame(0, T12)}
-        return _result(maps, "merged", pair.probability, (pair,), [group], frames, provenance)
-    ones = [_alone(prepared[m.name], k, sum(len(other) for other in maps[:k])) for k, m in enumerate(maps)]
-    frames = {m.name: Frame(k, AT_HOME) for k, m in enumerate(maps)}
-    return _result(maps, pair.decision, pair.probability, (pair,), ones, frames, provenance)
+    pairs = list(combinations(sorted(prepared), 2))
+    comparisons = {(a, b): compare(prepared[a], prepared[b], config, keep_solution=len(pairs) == 1) for a, b in pairs}
+    emptiness = Emptiness(prepared, config.evidence)
+    choice, joints = settled(prepared, comparisons, config, emptiness.against)
+    names = [m.name for m in maps]
+    rank = {name: k for k, name in enumerate(names)}
+    groups: list[_Group] = []
+    frames: dict[str, Frame] = {}
+    for members in sorted(choice.groups, key=lambda group: min(rank[name] for name in group)):
+        listed = tuple(sorted(members, key=rank.__getitem__))
+        before = sum(len(group.landmarks) for group in groups)
+        joint = joints.get(members)
+        if joint is None:
+            groups.append(_alone(prepared[listed[0]], len(groups), before))
+            frames[listed[0]] = Frame(len(groups) - 1, AT_HOME)
+            continue
+        joint = referred_to(joint, members.index(listed[0]), config.solving)
+        group = Members(members, joint, comparisons, choice, emptiness)
+        groups.append(_merged(group, listed, len(groups), before))
+        for name in listed:
+            T = AT_HOME if name == listed[0] else joint.solution.transform(members.index(name))
+            frames[name] = Frame(len(groups) - 1, T)
+    results = tuple(
+        pair_result(comparisons[a, b], choice, (prepared[a].map.ids, prepared[b].map.ids), rank[b] < rank[a])
+        for a, b in sorted(pairs, key=lambda pair: sorted(rank[name] for name in pair))
+    )
+    decision, probability = _overall(results, choice)
+    frames = {name: frames[name] for name in names}
+    return _result(maps, decision, probability, results, groups, frames, provenance)
+
+
+def _overall(pairs: Sequence[PairResult], choice: Choice) -> tuple[Decision, float]:
+    """Decision of the whole, and the probability that all its merges are right; of two maps that of their pair."""
+    if len(choice.groups) == 1:
+        return "merged", choice.probability[0]
+    if any(len(names) > 1 for names in choice.groups):
+        return "partial", float(np.prod(choice.probability))
+    decision: Decision = "ambiguous" if any(pair.decision == "ambiguous" for pair in pairs) else "no_overlap"
+    return decision, pairs[0].probability if len(pairs) == 1 else 1.0
 
 
 def _check(maps: tuple[LandmarkMap, ...]) -> None:
-    if not 1 <= len(maps) <= 2:
-        raise MapfuseError(f"fuse takes one or two maps in this version, not {len(maps)}")
-    if len({m.name for m in maps}) < len(maps):
-        raise MapfuseError(f"both maps are named {maps[0].name!r}; names must differ, since results refer to them")
+    if not maps:
+        raise MapfuseError("there is nothing to fuse: give at least one map")
+    twice = next((name for name, count in Counter(m.name for m in maps).items() if count > 1), None)
+    if twice is not None:
+        raise MapfuseError(f"two maps are named {twice!r}; names must differ, since results refer to them")
     for m in maps:
         if problems := validate(m) or _strays(m):
             raise MapError(m.name, problems)
@@ -117,7 +145,7 @@ class _Group:
 
 def _result(
     maps: tuple[LandmarkMap, ...],
-    decision: Any,
+    decision: Decision,
     probability: float,
     pairs: tuple[PairResult, ...],
     groups: Sequence[_Group],
@@ -149,92 +177,17 @@ def _alone(m: PreparedMap, group: int, before: int) -> _Group:
     return _Group((m.map.name,), landmarks, joint)
 
 
-def _transform(outcome: PairOutcome, rank: int) -> Transform:
-    """T12 of a hypothesis with its covariance: from its graph where it was solved, else from the elastic match."""
-    if rank in outcome.solutions:
-        return outcome.solutions[rank].transform(1)
-    joined = outcome.verdict.ranked[rank].growth.joined
-    return Transform.from_array(joined.T12, joined.T12_covariance)
-
-
-def _mixture(transforms: Sequence[Transform], probabilities: Array) -> Array:
-    """Covariance of T12 over all hypotheses, given that the maps overlap: within them and between them."""
-    weight = probabilities / probabilities.sum()
-    means = np.array([T.array for T in transforms])
-    off = means - means[0]
-    off[:, 2] = se2.wrap(off[:, 2])
-    off -= weight @ off
-    within = np.einsum("k,kij->ij", weight, np.array([T.covariance for T in transforms]))
-    return np.asarray(within + np.einsum("k,ki,kj->ij", weight, off, off))
-
-
-def _pair_result(outcome: PairOutcome, swapped: bool) -> PairResult:
-    verdict = outcome.verdict
-    transforms = [_transform(outcome, rank) for rank in range(len(verdict.ranked))]
-    names = (outcome.m1.map.name, outcome.m2.map.name)
-    if swapped:
-        transforms = [T.inverse() for T in transforms]
-        names = (names[1], names[0])
-    hypotheses = tuple(
-        RankedHypothesis(T, len(w.growth.i), w.log_odds, float(p), {"evidence": asdict(w.terms)})
-        for T, w, p in zip(transforms, verdict.ranked, verdict.probabilities, strict=True)
+def _merged(group: Members, listed: tuple[str, ...], number: int, before: int) -> _Group:
+    """A group's landmarks in the frame of its reference; ``listed``: its maps in the order of the input."""
+    maps = [m.map for m in group.joint.maps]
+    solution = group.joint.solution
+    places = sorted(
+        (Place(members, group.existence(members)) for members in group.places),
+        key=lambda place: min((maps[r].name, maps[r].ids[k]) for r, k in place.members),
     )
-    return PairResult(
-        maps=names,
-        decision=verdict.decision,
-        probability=float(verdict.probabilities[0]) if hypotheses else 0.0,
-        no_overlap_probability=verdict.no_overlap,
-        hypotheses=hypotheses,
-        correspondences=_correspondences(verdict.ranked[0], swapped) if hypotheses else (),
-        reason=reason(verdict, swapped),
-        mixture_covariance=_mixture(transforms, verdict.probabilities) if hypotheses else None,
-    )
-
-
-def _correspondences(w: Weighed, swapped: bool) -> tuple[tuple[str, str], ...]:
-    ids1, ids2 = w.growth.joined.m1.map.ids, w.growth.joined.m2.map.ids
-    pairs = [(ids1[i], ids2[j]) for i, j in zip(w.growth.i, w.growth.j, strict=True)]
-    return tuple(sorted((b, a) if swapped else (a, b) for a, b in pairs))
-
-
-def _merged(outcome: PairOutcome, swapped: bool, config: FuseConfig) -> _Group:
-    """The best hypothesis' landmarks in the frame of the input's first map."""
-    best = outcome.verdict.ranked[0]
-    joined = best.growth.joined
-    prepared = [outcome.m1, outcome.m2]
-    matched = list(zip(joined.i.tolist(), joined.j.tolist(), strict=True))
-    missed = [set(best.missed1), set(best.missed2)]
-    solution = outcome.solutions[0]
-    if swapped:
-        prepared, missed = prepared[::-1], missed[::-1]
-        matched = [(j, i) for i, j in matched]
-        solution = _from_second(outcome, solution, config)
-    maps = [m.map for m in prepared]
-    partner = {(0, i): (1, j) for i, j in matched}
-    taken = set(partner.values())
-    places = []
-    for r, m in enumerate(prepared):
-        for k in range(len(m)):
-            if (r, k) in taken:
-                continue
-            members = ((r, k), partner[(r, k)]) if (r, k) in partner else ((r, k),)
-            passed_by = [prepared[1 - r]] if k in missed[r] else []
-            rate = outcome.background.rate_of(m, k)
-            places.append(Place(members, existence([(prepared[s], n) for s, n in members], passed_by, rate)))
-    places.sort(key=lambda place: min((maps[r].name, maps[r].ids[k]) for r, k in place.members))
-    keys = [key for r in (0, 1) for key in solution.landmark_keys(r)]
+    keys = [key for r in range(len(maps)) for key in solution.landmark_keys(r)]
     block = {(key.map, maps[key.map].index_from_id[key.id]): n for n, key in enumerate(keys)}
-    names = [f"m{k + 1}" for k in range(len(places))]
-    poses = [solution.landmark_poses(0), solution.landmark_poses(1)]
-    landmarks, joint = merged_landmarks(maps, places, poses, block, solution.joint_covariance(keys), 0, names)
-    return _Group((maps[0].name, maps[1].name), landmarks, joint)
-
-
-def _from_second(outcome: PairOutcome, solution: Solution, config: FuseConfig) -> Solution:
-    """The same matches solved in the frame of the other map."""
-    m1, m2 = outcome.m1.map, outcome.m2.map
-    joined = outcome.verdict.ranked[0].growth.joined
-    matches = [(m2.ids[j], m1.ids[i]) for i, j in zip(joined.i, joined.j, strict=True)]
-    T21 = solution.transform(1).inverse().array
-    starts = (se2.compose(T21, solution.landmark_poses(1)), solution.landmark_poses(0))
-    return solve(pair_problem(m2, m1, T21, matches, robust=False, starts=starts), config.solving)
+    names = [f"m{before + k + 1}" for k in range(len(places))]
+    poses = [solution.landmark_poses(r) for r in range(len(maps))]
+    landmarks, joint = merged_landmarks(maps, places, poses, block, solution.joint_covariance(keys), number, names)
+    return _Group(listed, landmarks, joint)

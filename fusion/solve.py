@@ -102,6 +102,10 @@ class Solution:
         """Pose of map r's frame in the merged frame with its covariance: T12 for the second of two maps."""
         return Transform.from_array(self.poses[FrameKey(r)], self.covariance(FrameKey(r)))
 
+    def frame(self, r: int) -> Array:
+        """Pose (3,) of map r's frame in the merged frame."""
+        return np.asarray(self.poses[FrameKey(r)])
+
     def landmark_keys(self, r: int) -> tuple[LandmarkKey, ...]:
         """Keys of map r's landmarks, in the map's order."""
         return tuple(LandmarkKey(r, identifier) for identifier in self.problem.maps[r].ids)

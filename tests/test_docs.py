@@ -17,7 +17,7 @@ from mapfuse.fusion import coverage, decide, elastic, evidence, existence, growt
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
 from mapfuse.fusion.elastic import ArmOverlay, Joined
-from mapfuse.fusion.groups import _mixture
+from mapfuse.fusion.pairresult import mixture
 from mapfuse.fusion.growth import PRIOR_SIGMA, Growth
 from mapfuse.fusion.pair import fuse_pair
 from mapfuse.fusion.prepared import prepare
@@ -277,7 +277,7 @@ def test_existence_is_bayes_for_rare_landmarks():
     assert round(existence.existence([(m, 0), (m, 0)], [], nu), 3) == 0.998
 
 
-def test_mixture_covariance_is_that_of_draws_from_the_mixture():
+def test_mixture_covariance_is_that_of_draws_from_themixture():
     rng = np.random.default_rng(3)
     A = rng.normal(size=(3, 3, 3)) * [[[0.3]], [[0.5]], [[0.2]]]
     covariances = A @ np.swapaxes(A, 1, 2)
@@ -287,7 +287,7 @@ def test_mixture_covariance_is_that_of_draws_from_the_mixture():
     unwrapped = np.where(means < -3.0, means + 2 * np.pi, means)
     which = rng.choice(3, size=200_000, p=probabilities / probabilities.sum())
     draws = unwrapped[which] + np.einsum("kij,kj->ki", A[which], rng.normal(size=(len(which), 3)))
-    assert np.allclose(_mixture(transforms, probabilities), np.cov(draws.T), atol=0.03)
+    assert np.allclose(mixture(transforms, probabilities), np.cov(draws.T), atol=0.03)
 
 
 # Names and numbers ---------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ class Mode(StrEnum):
 
 
 def fuse_files(
-    maps: Annotated[list[Path], typer.Argument(help="Two recorded maps (NAME.map.json).", metavar="MAP")],
+    maps: Annotated[list[Path], typer.Argument(help="Recorded maps (NAME.map.json).", metavar="MAP")],
     *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The result, OUT.fused.json.", show_default=False)

@@ -1,0 +1,461 @@
+"""Which hypotheses of many pairs of maps can be true together: the most probable choice, and what it overrules.
+
+Groups of maps grow one merge at a time, the best supported first. A merge lays one group on another; every pair of maps
+across the two that has a candidate for that placement speaks for it, and a placement that other pairs speak for is its
+rival. So a pair that is ambiguous alone is decided by the maps around it, and a wrong one is outvoted. Afterwards each
+pair that was sure of itself and was not followed is given its chance: the choice is made again with it as the first
+merge, and the choice that more evidence agrees with stays.
+
+Derivation of the sums, and what was measured: docs/groups.md.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_flow
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.transform import Transform
+
+from .config import FuseConfig, chi2_gate
+from .decide import probabilities
+from .pairwise import Comparison
+from .posegraph import Edge, PoseGraph
+
+Array = NDArray[np.float64]
+Pair = tuple[str, str]
+Landmark = tuple[str, int]
+#: What a placement lays on each other: evidence [nats, at most 0] of two maps that overlap without a single match.
+Against = Callable[[str, str, Array], float]
+
+#: Candidates that far below a pair's best [nats] support no placement.
+FAINT = 25.0
+#: Placements that far below the best one [nats] aren't looked at closely.
+HOPELESS = 15.0
+#: How often a choice is made again to give overruled pairs their chance.
+MAX_APPEALS = 20
+#: Placements that differ by more [m, m, rad] are not looked at as the same, whatever their covariances.
+COARSE = np.array([20.0, 20.0, 0.8])
+#: Placements of a leg that a cycle is looked for among.
+LEGS = 8
+#: Steps per nat in which a cut is counted.
+CUT_STEPS = 1000
+#: The rotation error [rad] and the shift [m] that pose graphs of map frames leave open at least.
+SLACK = np.array([0.05, 0.05, 0.005])
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Groups of maps that share a frame, what placed them, and which pairs were overruled.
+
+    ``groups``: names in alphabetical order; alone ones too. ``frames``: of every map the pose in its group's first
+    map. ``chosen``: of the pairs that agree with their group the place of the candidate that does. ``overruled``: the
+    cycle of maps that speaks against a pair's own answer. ``probability``: per group that all its merges are right.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    frames: Mapping[str, Transform]
+    chosen: Mapping[Pair, int]
+    overruled: Mapping[Pair, tuple[str, ...]]
+    probability: tuple[float, ...]
+
+    def agreement(self, comparisons: Mapping[Pair, Comparison]) -> float:
+        """What all pairs that agree with the choice weigh [nats]."""
+        return float(sum(comparisons[pair].weights[k] for pair, k in self.chosen.items()))
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Maps that share a frame, by the candidates that were chosen for their pairs."""
+
+    names: tuple[str, ...]
+    chosen: Mapping[Pair, int] = field(default_factory=dict)
+    place: Mapping[Landmark, Landmark] = field(default_factory=dict)
+    probability: float = 1.0
+    edges: tuple[Edge, ...] = ()
+
+    @cached_property
+    def graph(self) -> PoseGraph:
+        return PoseGraph(self.names, self.edges)
+
+    def place_of(self, landmark: Landmark) -> Landmark:
+        """The landmark that stands for all that are the same."""
+        return self.place.get(landmark, landmark)
+
+
+@dataclass(frozen=True, eq=False)
+class _Placement:
+    """One way to lay group B on group A: the candidates that agree with it, by pair, and their ``weight`` [nats]."""
+
+    agreeing: Mapping[Pair, int]
+    weight: float
+    T_AB: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """All ways to lay one group on another, best first, and how sure the best one is."""
+
+    placements: tuple[_Placement, ...]
+    probability: float
+    margin: float
+
+
+_Groups = Mapping[int, _Group]
+_Meetings = Mapping[tuple[int, int], _Meeting]
+
+
+def choose(
+    names: Iterable[str],
+    comparisons: Mapping[Pair, Comparison],
+    config: FuseConfig,
+    against: Against | None = None,
+    forbidden: frozenset[tuple[Pair, int]] = frozenset(),
+) -> Choice:
+    """The most probable consistent choice of at most one candidate per pair.
+
+    ``comparisons``: by the pair's names in alphabetical order. ``against``: what the emptiness of two maps says
+    against laying them on each other at ``T12`` where they have no candidate. ``forbidden``: candidates (pair, place)
+    that must not be chosen. The result does not depend on the order of anything.
+    """
+    chooser = _Chooser(comparisons, config, against, forbidden)
+    ordered = sorted(names)
+    best, first = chooser.run(ordered, ()), tuple[Pair, ...]()
+    for _ in range(MAX_APPEALS):
+        agreement = best.agreement(comparisons)
+        appeals = [(pair, chooser.run(ordered, (*first, pair))) for pair in chooser.unheard(best)]
+        pair, other = max(appeals, key=lambda item: item[1].agreement(comparisons), default=(None, best))
+        if pair is None or other.agreement(comparisons) <= agreement + 1e-9:
+            return best
+        best, first = other, (*first, pair)
+    return best
+
+
+def _key(a: str, b: str) -> Pair:
+    return (a, b) if a < b else (b, a)
+
+
+class _Chooser:
+    """One run of merges; keeps what doesn't change between runs."""
+
+    def __init__(
+        self,
+        comparisons: Mapping[Pair, Comparison],
+        config: FuseConfig,
+        against: Against | None,
+        forbidden: frozenset[tuple[Pair, int]],
+    ) -> None:
+        self.comparisons = comparisons
+        self.forbidden = forbidden
+        self.edges: dict[tuple[str, str, int], Edge] = {}
+        self.config = config
+        self.against = against
+        self.gate = float(chi2_gate(config.solving.gate_probability, 3))
+
+    def run(self, names: Sequence[str], first: Sequence[Pair]) -> Choice:
+        """Merge until nothing is sure any more; the pairs ``first`` before all others, by their own best candidate."""
+        groups: dict[int, _Group] = {k: _Group((name,)) for k, name in enumerate(names)}
+        for pair in first:
+            p, q = sorted(next(k for k, group in groups.items() if name in group.names) for name in pair)
+            if p != q:
+                placement = self._placements(groups[p], groups[q], {pair: [0]})[0]
+                probability = float(self.comparisons[pair].probabilities[0])
+                groups[p] = self._merged(groups[p], groups.pop(q), placement, probability)
+        meetings = {(p, q): self.meet(groups[p], groups[q]) for p, q in combinations(groups, 2)}
+        while (key := self._next(groups, meetings)) is not None:
+            p, q = key
+            meeting = meetings[key]
+            groups[p] = self._merged(groups[p], groups.pop(q), meeting.placements[0], meeting.probability)
+            meetings = {other: meeting for other, meeting in meetings.items() if not {p, q} & set(other)}
+            for other in groups:
+                if other != p:
+                    one, two = sorted((p, other))
+                    meetings[one, two] = self.meet(groups[one], groups[two])
+        return self._choice(sorted(groups.values(), key=lambda group: group.names))
+
+    def unheard(self, choice: Choice) -> list[Pair]:
+        """Pairs that are sure of themselves, that the choice doesn't follow, and that might outweigh what it follows.
+
+        To follow one, the pairs that tie its two maps to each other otherwise have to be given up, at least a minimum
+        cut of them; what can be won is its own weight and that of those that ask for the same move.
+        """
+        sure = [pair for pair, comparison in self.comparisons.items() if comparison.decision == "merged"]
+        asking = [pair for pair in sure if choice.chosen.get(pair) != 0 and (pair, 0) not in self.forbidden]
+        weight = {pair: self._weight(pair, k) for pair, k in choice.chosen.items()}
+        moves = {pair: self._move(pair, choice) for pair in asking}
+        together = {pair for pair in asking if any(set(pair) <= set(names) for names in choice.groups)}
+        heard = []
+        for pair in sorted(asking):
+            alike = [o for o in asking if o not in together or bool(_near(moves[pair], moves[o]))]
+            won = sum(self._weight(other, 0) for other in {pair, *alike})
+            if pair not in together or won > _strength(*pair, weight):
+                heard.append(pair)
+        return heard
+
+    def _move(self, pair: Pair, choice: Choice) -> Array:
+        """How following a pair would move its second map's frame and all that goes with it, in the group's frame."""
+        X_a, X_b = (choice.frames[name].array for name in pair)
+        T_ab = self._edge(*pair, 0).T
+        return np.asarray(se2.compose(se2.compose(X_a, T_ab), se2.inverse(X_b)))
+
+    def _next(
+        self, groups: Mapping[int, _Group], meetings: Mapping[tuple[int, int], _Meeting]
+    ) -> tuple[int, int] | None:
+        """The merge to do first: of those that are sure, the one with most support by its cycles."""
+        sure = [key for key, m in meetings.items() if m.placements and m.probability >= self.config.decision.accept]
+        if len(sure) < 2:
+            return sure[0] if sure else None
+        ranked = [
+            (meetings[key].margin + self._support(key, groups, meetings), groups[key[0]].names, key) for key in sure
+        ]
+        return max(ranked, key=lambda item: (item[0], item[1]))[2]
+
+    def _support(self, key: tuple[int, int], groups: _Groups, meetings: _Meetings) -> float:
+        """What third groups say of the best placement [nats].
+
+        Two legs by a third group that close the cycle are worth the weaker leg; two that are both sure and don't close
+        it speak against it by as much.
+        """
+        p, q = key
+        T_pq = meetings[key].placements[0].T_AB
+        total = 0.0
+        for r in groups:
+            if r in key:
+                continue
+            one, two = (meetings[min(n, r), max(n, r)] for n in key)
+            if not one.placements or not two.placements:
+                continue
+            T_pr, T_qr = _directed(one, p < r), _directed(two, q < r)
+            near = _near(T_pq, se2.compose(T_pr[:, None], se2.inverse(T_qr)[None]))
+            if near.any():
+                weaker = np.minimum.outer(
+                    [a.weight for a in one.placements[:LEGS]], [b.weight for b in two.placements[:LEGS]]
+                )
+                total += max(0.0, float(weaker[near].max()))
+            elif min(one.probability, two.probability) >= self.config.decision.accept:
+                total -= min(one.margin, two.margin)
+        return total
+
+    def meet(self, A: _Group, B: _Group) -> _Meeting:
+        """All placements of B on A that the pairs across propose, weighed."""
+        pairs = [key for a, b in product(A.names, B.names) if (key := _key(a, b)) in self.comparisons]
+        faint = FAINT if len(pairs) > 1 else np.inf
+        placements = self._placements(A, B, {pair: self._allowed(pair, faint) for pair in pairs})
+        if self.against is not None and len(pairs) > 1:
+            placements = self._contradicted(A, B, placements, pairs)
+        if not placements:
+            return _Meeting((), 0.0, -np.inf)
+        weight = np.array([p.weight for p in placements])
+        weights = probabilities(weight, self.config.decision.overlap_prior)
+        probability = float(weights[0])
+        rest = float(weights.sum() - weights[0])
+        margin = float(np.log(max(probability, 1e-300)) - np.log(max(rest, 1e-300)))
+        return _Meeting(tuple(placements), probability, margin)
+
+    def _allowed(self, pair: Pair, faint: float) -> list[int]:
+        weights = self.comparisons[pair].weights
+        best = np.max(weights, initial=0.0)
+        return [k for k, w in enumerate(weights) if w > best - faint and (pair, k) not in self.forbidden]
+
+    def _placements(self, A: _Group, B: _Group, allowed: Mapping[Pair, Sequence[int]]) -> list[_Placement]:
+        """One placement by each candidate, with the candidates of all other pairs that agree; the best first."""
+        seeds = [(pair, k) for pair, candidates in allowed.items() for k in candidates]
+        if not seeds:
+            return []
+        ways = [pair if pair[0] in A.names else pair[::-1] for pair, _ in seeds]
+        edges = [self._edge(a, b, k) for (a, b), (_, k) in zip(ways, seeds, strict=True)]
+        X_a = np.array([A.graph.pose(a) for a, _ in ways])
+        X_b = np.array([B.graph.pose(b) for _, b in ways])
+        T_ab = np.array([edge.T for edge in edges])
+        T_AB = se2.compose(se2.compose(X_a, T_ab), se2.inverse(X_b))
+        implied = se2.compose(se2.compose(se2.inverse(X_a)[None], T_AB[:, None]), X_b[None])
+        off = np.abs(implied - T_ab[None])
+        off[..., 2] = np.abs(se2.wrap(implied[..., 2] - T_ab[None, :, 2]))
+        coarsely = (off < COARSE).all(axis=2)
+        found: dict[tuple[tuple[Pair, int], ...], _Placement] = {}
+        for n, seed in enumerate(seeds):
+            agreeing = {seed[0]: seed[1]}
+            for m in np.flatnonzero(coarsely[n]).tolist():
+                pair, k = seeds[m]
+                better = pair not in agreeing or self._weight(pair, k) > self._weight(pair, agreeing[pair])
+                if pair != seed[0] and better and self._off(A, B, edges[n], edges[m]) < self.gate:
+                    agreeing[pair] = k
+            placement = _Placement(agreeing, self._weighed(A, B, agreeing), T_AB[n])
+            found.setdefault(tuple(sorted(agreeing.items())), placement)
+        return sorted(found.values(), key=lambda p: (-p.weight, sorted(p.agreeing.items())))
+
+    def _weight(self, pair: Pair, k: int) -> float:
+        return float(self.comparisons[pair].weights[k])
+
+    def _edge(self, a: str, b: str, k: int) -> Edge:
+        """Candidate ``k`` of the pair as frame b in frame a."""
+        if (a, b, k) not in self.edges:
+            T = self.comparisons[_key(a, b)].candidates[k].T12
+            T = T if a < b else T.inverse()
+            assert T.covariance is not None
+            self.edges[a, b, k] = Edge(a, b, T.array, T.covariance + np.diag(SLACK**2))
+        return self.edges[a, b, k]
+
+    def _off(self, A: _Group, B: _Group, via: Edge, other: Edge) -> float:
+        """Squared Mahalanobis distance of an edge across two groups from what another one implies."""
+        T_ca, C_ca = A.graph.between(other.a, via.a)
+        T_bd, C_bd = B.graph.between(via.b, other.b)
+        T_cb, C_cb = se2.compose(T_ca, via.T), se2.compose_covariance(T_ca, C_ca, via.T, via.covariance)
+        T, covariance = se2.compose(T_cb, T_bd), se2.compose_covariance(T_cb, C_cb, T_bd, C_bd)
+        off = other.T - T
+        off[2] = se2.wrap(off[2])
+        return float(off @ np.linalg.solve(covariance + other.covariance, off))
+
+    def _weighed(self, A: _Group, B: _Group, agreeing: Mapping[Pair, int]) -> float:
+        """What candidates that agree weigh together [nats], every landmark counted once.
+
+        Two maps of one group share landmarks, and what a third map has in common with one it has with the other: the
+        second adds to the evidence only by the share of its matches between landmarks not yet counted.
+        """
+        weight = {pair: float(self.comparisons[pair].weights[k]) for pair, k in agreeing.items()}
+        used: set[Landmark] = set()
+        total = 0.0
+        for n, pair in enumerate(sorted(agreeing, key=lambda pair: (-weight[pair], pair))):
+            matches = self.comparisons[pair].candidates[agreeing[pair]].matches
+            matched = [self._places(A, B, pair, match) for match in matches]
+            new = [places for places in matched if not used & set(places)]
+            total += weight[pair] if n == 0 else max(weight[pair], 0.0) * len(new) / max(len(matched), 1)
+            used.update(place for places in matched for place in places)
+        return total
+
+    def _places(self, A: _Group, B: _Group, pair: Pair, match: tuple[int, int]) -> tuple[Landmark, Landmark]:
+        first, second = (pair[0], match[0]), (pair[1], match[1])
+        return (
+            (A if pair[0] in A.names else B).place_of(first),
+            (A if pair[1] in A.names else B).place_of(second),
+        )
+
+    def _contradicted(
+        self, A: _Group, B: _Group, placements: Sequence[_Placement], pairs: Sequence[Pair]
+    ) -> list[_Placement]:
+        """The placements with what pairs without a candidate there say against them."""
+        assert self.against is not None
+        best = max((p.weight for p in placements), default=0.0)
+        found = []
+        for placement in placements:
+            against = 0.0
+            if placement.weight > best - HOPELESS:
+                for a, b in pairs:
+                    if (a, b) not in placement.agreeing:
+                        against += self.against(a, b, self._at(A, B, placement, a, b))
+            found.append(replace(placement, weight=placement.weight + against))
+        return sorted(found, key=lambda p: (-p.weight, sorted(p.agreeing.items())))
+
+    def _at(self, A: _Group, B: _Group, placement: _Placement, a: str, b: str) -> Array:
+        """T_ab under a placement, whichever group the maps are in."""
+
+        def world(name: str) -> Array:
+            if name in A.names:
+                return A.graph.pose(name)
+            return np.asarray(se2.compose(placement.T_AB, B.graph.pose(name)))
+
+        return np.asarray(se2.between(world(a), world(b)))
+
+    def _merged(self, A: _Group, B: _Group, placement: _Placement, probability: float) -> _Group:
+        edges = tuple(self._edge(*pair, k) for pair, k in placement.agreeing.items())
+        chosen = {**A.chosen, **B.chosen, **placement.agreeing}
+        return _Group(
+            names=tuple(sorted((*A.names, *B.names))),
+            chosen=chosen,
+            place=places_of(chosen, self.comparisons),
+            probability=A.probability * B.probability * probability,
+            edges=(*A.edges, *B.edges, *edges),
+        )
+
+    def _choice(self, groups: Sequence[_Group]) -> Choice:
+        chosen = {pair: k for group in groups for pair, k in group.chosen.items()}
+        frames = {name: group.graph.transform(name) for group in groups for name in group.names}
+        overruled = {}
+        for group in groups:
+            for pair in combinations(group.names, 2):
+                own = self.comparisons.get(pair)
+                if own is None or own.decision == "no_overlap" or group.chosen.get(pair, -1) == 0:
+                    continue
+                if pair not in group.chosen or own.decision == "merged":
+                    overruled[pair] = _way(*pair, [p for p in group.chosen if p != pair])
+        return Choice(
+            tuple(group.names for group in groups),
+            frames,
+            chosen,
+            {pair: cycle for pair, cycle in overruled.items() if cycle},
+            tuple(group.probability for group in groups),
+        )
+
+
+def _directed(meeting: _Meeting, forward: bool) -> Array:
+    """The best placements (k, 3) of a meeting, or, where not ``forward``, their inverses."""
+    T = np.array([placement.T_AB for placement in meeting.placements[:LEGS]])
+    return T if forward else np.asarray(se2.inverse(T))
+
+
+def _near(T: Array, others: Array) -> NDArray[np.bool_]:
+    """Which placements may be the same as one, coarsely: a cycle's covariance is looked at when it is closed."""
+    shift = np.hypot(others[..., 0] - T[0], others[..., 1] - T[1])
+    return np.asarray((shift < 3.0) & (np.abs(se2.wrap(others[..., 2] - T[2])) < 0.2))
+
+
+def _strength(start: str, end: str, chosen: Mapping[Pair, float]) -> float:
+    """Least weight [nats] of the chosen pairs that would have to be given up to part two maps (minimum cut)."""
+    names = sorted({name for pair in chosen for name in pair} | {start, end})
+    place = {name: k for k, name in enumerate(names)}
+    a, b = (np.array([place[pair[k]] for pair in chosen], dtype=np.intp) for k in (0, 1))
+    capacity = np.array([max(0, round(CUT_STEPS * weight)) for weight in chosen.values()], dtype=np.int32)
+    shape = (len(names), len(names))
+    both = csr_array((np.tile(capacity, 2), (np.append(a, b), np.append(b, a))), shape=shape)
+    return float(maximum_flow(both, place[start], place[end]).flow_value) / CUT_STEPS
+
+
+def _way(start: str, end: str, pairs: Iterable[Pair]) -> tuple[str, ...]:
+    """Shortest way between two maps along pairs that agree (the first by name of several), () where there is none."""
+    neighbours: dict[str, set[str]] = {}
+    for a, b in pairs:
+        neighbours.setdefault(a, set()).add(b)
+        neighbours.setdefault(b, set()).add(a)
+    before: dict[str, str] = {start: start}
+    todo = deque([start])
+    while todo and end not in before:
+        here = todo.popleft()
+        for there in sorted(neighbours.get(here, ())):
+            if there not in before:
+                before[there] = here
+                todo.append(there)
+    if end not in before:
+        return ()
+    way = [end]
+    while way[-1] != start:
+        way.append(before[way[-1]])
+    return tuple(way[::-1])
+
+
+def places_of(chosen: Mapping[Pair, int], comparisons: Mapping[Pair, Comparison]) -> dict[Landmark, Landmark]:
+    """Which landmark stands for each matched one: identity is transitive, and one to one in each map.
+
+    Matches of better supported pairs come first; one that would make two landmarks of one map the same is left out.
+    """
+    members: dict[Landmark, dict[str, int]] = {}
+    root: dict[Landmark, Landmark] = {}
+    ranked = sorted(chosen, key=lambda pair: (-comparisons[pair].weights[chosen[pair]], pair))
+    for pair in ranked:
+        for i, j in comparisons[pair].candidates[chosen[pair]].matches:
+            a, b = (root.setdefault(l, l) for l in ((pair[0], i), (pair[1], j)))
+            for l in (a, b):
+                members.setdefault(l, {l[0]: l[1]})
+            if a == b or members[a].keys() & members[b].keys():
+                continue
+            keep, gone = min(a, b), max(a, b)
+            members[keep] |= members.pop(gone)
+            root |= dict.fromkeys(members[keep].items(), keep)
+    return root

@@ -1,0 +1,95 @@
+"""What is reported of a pair of maps: what it says alone, and what the maps around it make of that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.transform import Transform
+
+from .consistent import Choice
+from .pairwise import Comparison
+from .result import PairDecision, PairResult, RankedHypothesis
+
+Array = NDArray[np.float64]
+
+
+def pair_result(
+    comparison: Comparison, choice: Choice, ids: tuple[Sequence[str], Sequence[str]], swapped: bool
+) -> PairResult:
+    """The result of a pair, its maps named in the other order where ``swapped``; ``ids``: of both maps' landmarks.
+
+    In a group the pair's own answer may be decided or overruled by the maps around it. Then the candidate that agrees
+    with the group, if any, comes first with the group's probability, and the others share what is left.
+    """
+    order, probabilities, none, decision, reason = _in_group(comparison, choice, swapped)
+    names = comparison.maps[::-1] if swapped else comparison.maps
+    candidates = [comparison.candidates[k] for k in order]
+    transforms = [c.T12.inverse() if swapped else c.T12 for c in candidates]
+    hypotheses = tuple(
+        RankedHypothesis(T, len(c.matches), c.log_odds, float(p), {"evidence": asdict(c.terms)})
+        for T, c, p in zip(transforms, candidates, probabilities, strict=True)
+    )
+    matches = [(ids[0][i], ids[1][j]) for i, j in candidates[0].matches] if candidates else []
+    return PairResult(
+        maps=names,
+        decision=decision,
+        probability=float(probabilities[0]) if candidates else 0.0,
+        no_overlap_probability=none,
+        hypotheses=hypotheses,
+        correspondences=tuple(sorted((b, a) if swapped else (a, b) for a, b in matches)),
+        reason=reason,
+        mixture_covariance=mixture(transforms, probabilities) if candidates else None,
+        overruled_by=choice.overruled.get(comparison.maps),
+    )
+
+
+def _in_group(
+    comparison: Comparison, choice: Choice, swapped: bool
+) -> tuple[list[int], Array, float, PairDecision, str]:
+    """Order of the candidates, their probabilities, that of no overlap, the decision and the reason."""
+    pair = comparison.maps
+    order, own = list(range(len(comparison.candidates))), comparison.probabilities
+    reason = comparison.reasons[1 if swapped else 0]
+    number = next(k for k, names in enumerate(choice.groups) if pair[0] in names)
+    chosen, together = choice.chosen.get(pair), pair[1] in choice.groups[number]
+    if not together:
+        if comparison.decision == "merged":
+            return order, own, comparison.no_overlap, "ambiguous", f"other maps speak against it; alone: {reason}"
+        return order, own, comparison.no_overlap, comparison.decision, reason
+    if chosen == 0 and comparison.decision == "merged":
+        return order, own, comparison.no_overlap, "merged", reason
+    if chosen is None and (comparison.decision == "no_overlap" or pair not in choice.overruled):
+        return order, own, comparison.no_overlap, comparison.decision, reason
+    sure = choice.probability[number]
+    around = ", ".join(choice.overruled.get(pair, ())) or "the maps around it"
+    if chosen is None:
+        probabilities = own * (1 - sure) / max(float(own.sum()), 1e-300)
+        none = 1 - float(probabilities.sum())
+        return (
+            order,
+            probabilities,
+            none,
+            "no_overlap",
+            f"overruled by {around}, where these two share nothing; alone: {reason}",
+        )
+    order = [chosen, *(k for k in order if k != chosen)]
+    rest = np.append(own[order[1:]], comparison.no_overlap)
+    rest = rest * (1 - sure) / max(float(rest.sum()), 1e-300)
+    what = "overruled" if comparison.decision == "merged" else "decided"
+    return order, np.append(sure, rest[:-1]), float(rest[-1]), "merged", f"{what} by {around}; alone: {reason}"
+
+
+def mixture(transforms: Sequence[Transform], probabilities: Array) -> Array:
+    """Covariance of T12 over all hypotheses, given that the maps overlap: within them and between them."""
+    weight = probabilities / probabilities.sum()
+    means = np.array([T.array for T in transforms])
+    off = means - means[0]
+    off[:, 2] = se2.wrap(off[:, 2])
+    off -= weight @ off
+    within = np.einsum("k,kij->ij", weight, np.array([T.covariance for T in transforms]))
+    return np.asarray(within + np.einsum("k,ki,kj->ij", weight, off, off))
