@@ -70,7 +70,7 @@ def explore(floor: Floor, rng: np.random.Generator, share: float = 1.0, start: s
     walk, known, length = [at], set[Step](), 0.0
     while length < share * floor.length - 1e-9:
         leads = [there for there in floor.neighbours[walk[-1]] if step(walk[-1], there) not in known]
-        way = [str(rng.choice(leads))] if leads else _way_to_unknown(floor, walk[-1], known)
+        way = [str(rng.choice(leads))] if leads else way_to_unknown(floor, walk[-1], known)
         for there in way:
             if step(walk[-1], there) not in known:
                 known.add(step(walk[-1], there))
@@ -84,7 +84,7 @@ def step(a: str, b: str) -> Step:
     return (a, b) if a < b else (b, a)
 
 
-def _way_to_unknown(floor: Floor, start: str, known: set[Step]) -> list[str]:
+def way_to_unknown(floor: Floor, start: str, known: set[Step]) -> list[str]:
     """Shortest way (Dijkstra) to a place with an unexplored way, without its start."""
     distance, before = {start: 0.0}, dict[str, str]()
     todo = {start}

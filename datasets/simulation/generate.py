@@ -1,35 +1,49 @@
-"""Floors by kind, from a seed: irregular, oblique, alike (one pitch) and symmetric ones."""
+"""Floors by kind, from a seed: irregular, oblique, alike (one pitch), symmetric ones, and ones with wings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import ConfigError
 from .floors import DoorAt, Floor, bearing, floor_from_graph
 
 Array = NDArray[np.float64]
 Edge = tuple[int, int]
-FloorKind = Literal["irregular", "oblique", "alike", "symmetric"]
+FloorKind = Literal["irregular", "oblique", "alike", "symmetric", "wings"]
 
 #: Doors keep this distance [m] from nodes and from each other.
 DOOR_SPACING = 2.5
 #: How many corners, ends and junctions, and how many doors a floor has.
 NODES, DOORS = (12, 25), (8, 20)
+#: How many loops and culs-de-sac a floor of so few places can be asked to have at least; both at most take seconds.
+MOST = (3, 4)
 
 
-def irregular_floor(rng: np.random.Generator, name: str = "irregular", *, oblique: bool = False) -> Floor:
+def irregular_floor(
+    rng: np.random.Generator,
+    name: str = "irregular",
+    *,
+    oblique: bool = False,
+    loops: int = 0,
+    culs_de_sac: int = 0,
+) -> Floor:
     """Right-angled corridors of irregular spacing with loops and culs-de-sac; doors at irregular places.
 
     12 to 25 corners, ends and junctions, 8 to 20 doors, 40 to 80 m wide. With ``oblique`` the two families of
-    corridors meet at 50 to 70 degrees instead.
+    corridors meet at 50 to 70 degrees instead. ``loops``, ``culs_de_sac``: how many there are at least; floors are
+    drawn until one has so many. Raises `ConfigError` for more than `MOST` of either.
 
     >>> floor = irregular_floor(np.random.default_rng(3))
     >>> 12 <= sum(p.type != "door" for p in floor.places) <= 25
     True
     """
+    _check("loops", loops, 0, MOST[0])
+    _check("culs_de_sac", culs_de_sac, 0, MOST[1])
     while True:
         columns, rows = int(rng.integers(4, 7)), int(rng.integers(3, 5))
         xs, ys = _lines(rng, columns, rng.uniform(40, 80)), _lines(rng, rows, rng.uniform(24, 50))
@@ -40,7 +54,7 @@ def irregular_floor(rng: np.random.Generator, name: str = "irregular", *, obliqu
             nodes = [(float(x + y * shear), y) for x, y in nodes]
         edges = _straightened(nodes, kept)
         doors = _irregular_doors(rng, nodes, edges, int(rng.integers(DOORS[0], DOORS[1] + 1)))
-        if _in_range(edges, len(doors)):
+        if _in_range(edges, len(doors)) and _loops(edges) >= loops and len(_ends(edges)) >= culs_de_sac:
             return floor_from_graph(name, nodes, edges, doors, _north(rng))
 
 
@@ -82,11 +96,44 @@ def oblique_floor(rng: np.random.Generator, name: str = "oblique") -> Floor:
     return irregular_floor(rng, name, oblique=True)
 
 
+def wings_floor(rng: np.random.Generator, name: str = "wings", *, wings: int | None = None) -> Floor:
+    """Two or three blocks of right-angled corridors, each with a loop, in a row; one corridor joins each to the next.
+
+    ``wings``: how many blocks; None: drawn. A robot can go from one block to the next by that corridor alone, so that
+    maps of different blocks have little in common. Raises `ConfigError` for another number than 2 or 3.
+
+    >>> floor = wings_floor(np.random.default_rng(0), wings=3)
+    >>> 12 <= sum(p.type != "door" for p in floor.places) <= 25
+    True
+    """
+    _check("wings", 2 if wings is None else wings, 2, 3)
+    while True:
+        count = int(rng.integers(2, 4)) if wings is None else wings
+        nodes: list[tuple[float, float]] = []
+        kept: list[Edge] = []
+        exits: list[tuple[int, int]] = []
+        for _ in range(count):
+            block, edges = _block(rng, columns=int(rng.integers(2, 4 if count > 2 else 5)))
+            first = len(nodes)
+            # the way in from the block before stands level with the way out of that
+            west, east = (int(rng.choice(side)) for side in _sides(block, edges))
+            away = (0.0, 0.0) if not exits else _beside(nodes, exits[-1][1], block, west, rng.uniform(8, 16))
+            nodes += [(x + away[0], y + away[1]) for x, y in block]
+            kept += [(a + first, b + first) for a, b in edges]
+            exits.append((west + first, east + first))
+        joints = [(before[1], after[0]) for before, after in pairwise(exits)]
+        edges = _straightened(nodes, kept + joints)
+        doors = _irregular_doors(rng, nodes, edges, int(rng.integers(DOORS[0], DOORS[1] + 1)))
+        if _in_range(edges, len(doors)):
+            return floor_from_graph(name, nodes, edges, doors, _north(rng))
+
+
 GENERATORS: dict[FloorKind, Callable[[np.random.Generator, str], Floor]] = {
     "irregular": irregular_floor,
     "oblique": oblique_floor,
     "alike": alike_floor,
     "symmetric": symmetric_floor,
+    "wings": wings_floor,
 }
 
 
@@ -127,6 +174,47 @@ def _connected(edges: Sequence[Edge]) -> bool:
             reached.add(node)
             todo += [b if a == node else a for a, b in edges if node in (a, b)]
     return reached == nodes
+
+
+def _check(name: str, value: int, least: int, most: int) -> None:
+    if not least <= value <= most:
+        raise ConfigError(f"{name} of a floor must be from {least} to {most}, not {value}")
+
+
+def _loops(edges: Sequence[Edge]) -> int:
+    """Independent loops of connected edges: how many could go before they fall apart."""
+    return len(edges) - len({n for e in edges for n in e}) + 1
+
+
+def _ends(edges: Sequence[Edge]) -> list[int]:
+    """Nodes that only one edge leads to."""
+    used = [n for e in edges for n in e]
+    return [n for n in sorted(set(used)) if used.count(n) == 1]
+
+
+def _block(rng: np.random.Generator, columns: int) -> tuple[list[tuple[float, float]], list[Edge]]:
+    """Nodes [m] and edges of one wing's block of right-angled corridors, with a loop at least."""
+    rows = int(rng.integers(2, 4))
+    xs, ys = _lines(rng, columns, 9.0 * (columns - 1)), _lines(rng, rows, rng.uniform(8, 12) * (rows - 1))
+    nodes = [(float(x), float(y)) for y in ys for x in xs]
+    while True:
+        edges = _thinned(rng, _lattice(columns, rows), rng.uniform(0.7, 1.2), mirrored=None)
+        if _loops(edges) >= 1:
+            return nodes, edges
+
+
+def _sides(nodes: Sequence[tuple[float, float]], edges: Sequence[Edge]) -> tuple[list[int], list[int]]:
+    """The nodes in use that stand furthest West, and those furthest East."""
+    used = sorted({n for e in edges for n in e})
+    xs = [nodes[n][0] for n in used]
+    return [n for n in used if nodes[n][0] == min(xs)], [n for n in used if nodes[n][0] == max(xs)]
+
+
+def _beside(
+    nodes: Sequence[tuple[float, float]], gate: int, block: Sequence[tuple[float, float]], entry: int, gap: float
+) -> tuple[float, float]:
+    """Where a block goes so that its ``entry`` is ``gap`` [m] East of the node ``gate``."""
+    return nodes[gate][0] + gap - block[entry][0], nodes[gate][1] - block[entry][1]
 
 
 def _thinned(rng: np.random.Generator, edges: list[Edge], share: float, mirrored: int | None) -> list[Edge]:
