@@ -1,10 +1,12 @@
-"""Files read whole and written whole: one clear error instead of a traceback, and never half a result."""
+"""Files read and written, whole or as streams: one clear error instead of a traceback, and never half a result."""
 
 from __future__ import annotations
 
 import os
 import secrets
 import stat
+from collections.abc import Iterable
+from io import BufferedReader
 from pathlib import Path
 
 from .errors import InputError, OutputError
@@ -24,23 +26,41 @@ def read_whole(path: str | Path, limit: int = MAX_FILE_BYTES) -> bytes:
     where it is larger.
     """
     path = Path(path)
+    with open_stream(path) as file:
+        try:
+            found = os.fstat(file.fileno())
+            if stat.S_ISREG(found.st_mode) and found.st_size > limit:
+                raise InputError(path, f"is larger than {limit:,} bytes, the most that is read")
+            data = file.read(limit + 1)
+        except OSError as error:
+            raise unreadable(path, error) from error
+    if len(data) > limit:
+        raise InputError(path, f"is larger than {limit:,} bytes, the most that is read")
+    return data
+
+
+def open_stream(path: str | Path) -> BufferedReader:
+    """A file (or pipe) opened to be read, which the caller closes.
+
+    Raises `InputError` where there is no such file, where it is a folder or a device, and where it may not be read.
+    """
+    path = Path(path)
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode):
             raise InputError(path, "is a folder, not a file")
         if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
             raise InputError(path, "is a device, not a file")
-        with path.open("rb") as file:
-            if stat.S_ISREG(mode) and os.fstat(file.fileno()).st_size > limit:
-                raise InputError(path, f"is larger than {limit:,} bytes, the most that is read")
-            data = file.read(limit + 1)
+        return path.open("rb")
     except FileNotFoundError:
         raise InputError(path, "there is no such file") from None
     except (OSError, ValueError) as error:
-        raise InputError(path, f"can't be read: {_reason(error)}") from error
-    if len(data) > limit:
-        raise InputError(path, f"is larger than {limit:,} bytes, the most that is read")
-    return data
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: str | Path, error: OSError | ValueError) -> InputError:
+    """What to raise where the system refuses to read a file."""
+    return InputError(path, f"can't be read: {_reason(error)}")
 
 
 def write_whole(path: str | Path, data: str | bytes) -> None:
@@ -60,17 +80,26 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
     ...     target.read_text(), len(list(Path(folder).iterdir()))
     ('done', 1)
     """
-    path, content = Path(path), data.encode() if isinstance(data, str) else data
+    write_stream(path, (data.encode() if isinstance(data, str) else data,))
+
+
+def write_stream(path: str | Path, chunks: Iterable[bytes]) -> None:
+    """As `write_whole`, from chunks that needn't be in memory together; an error that they raise leaves nothing behind.
+
+    Raises what `write_whole` does.
+    """
+    path = Path(path)
     try:
         target = Path(os.path.realpath(path))
         mode = _mode(target)
         if not stat.S_ISREG(mode):
             with target.open("wb") as file:
-                file.write(content)
+                for chunk in chunks:
+                    file.write(chunk)
             return
         if target.exists() and not os.access(target, os.W_OK):
             raise OutputError(path, "is write-protected")
-        _replace(target, content, stat.S_IMODE(mode))
+        _replace(target, chunks, stat.S_IMODE(mode))
     except FileNotFoundError:
         raise OutputError(path, "its folder doesn't exist") from None
     except (OSError, ValueError) as error:
@@ -85,7 +114,7 @@ def _mode(target: Path) -> int:
         return stat.S_IFREG
 
 
-def _replace(target: Path, content: bytes, permissions: int) -> None:
+def _replace(target: Path, chunks: Iterable[bytes], permissions: int) -> None:
     temporary = target.with_name(f".mapfuse-{secrets.token_hex(8)}.tmp")
     # os.open, unlike the tempfile module, lets the umask decide who may read the result
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o666)
@@ -93,7 +122,8 @@ def _replace(target: Path, content: bytes, permissions: int) -> None:
         with os.fdopen(descriptor, "wb") as file:
             if permissions:
                 os.fchmod(file.fileno(), permissions)
-            file.write(content)
+            for chunk in chunks:
+                file.write(chunk)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(target)

@@ -221,7 +221,13 @@ def _text_problems(document: Any) -> Iterator[Problem]:
 
 
 #: What the documents of each family of formats are.
-_FAMILIES = {"mapfuse.map": "recorded map", "mapfuse.fused": "fused map", "mapfuse.truth": "truth"}
+_FAMILIES = {
+    "mapfuse.map": "recorded map",
+    "mapfuse.fused": "fused map",
+    "mapfuse.truth": "truth",
+    "mapfuse.log": "log",
+    "mapfuse.logtruth": "log's truth",
+}
 
 
 def format_fault(found: Any, expected: str) -> str | None:
