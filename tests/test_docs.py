@@ -17,9 +17,9 @@ from mapfuse.fusion import coverage, decide, elastic, evidence, existence, growt
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
 from mapfuse.fusion.elastic import ArmOverlay, Joined
-from mapfuse.fusion.pairresult import mixture
 from mapfuse.fusion.growth import PRIOR_SIGMA, Growth
 from mapfuse.fusion.pair import fuse_pair
+from mapfuse.fusion.pairresult import mixture
 from mapfuse.fusion.prepared import prepare
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -71,10 +71,18 @@ def test_every_link_leads_somewhere() -> None:
         assert (ROOT / target).exists(), f"README.md points to {target}"
 
 
+def options_of(command: str) -> set[str]:
+    mapfuse = Path(sys.executable).with_name("mapfuse")
+    text = subprocess.run([mapfuse, command, "--help"], capture_output=True, text=True, check=True).stdout
+    return set(re.findall(r"--[a-z-]+", text))
+
+
 def test_every_option_named_exists() -> None:
-    help_ = subprocess.run(
-        [Path(sys.executable).with_name("mapfuse"), "fuse", "--help"], capture_output=True, text=True, check=True
-    ).stdout
-    table = TEXT[TEXT.index("| command | does |") : TEXT.index("## How to read the answer")]
-    for option in set(re.findall(r"`(--[a-z-]+)", table)):
-        assert option in help_, option
+    usage = TEXT[TEXT.index("| command | does |") : TEXT.index("## How to read the answer")]
+    rows = re.findall(r"^\| `mapfuse ([a-z]+).*$", usage, flags=re.MULTILINE)
+    assert len(rows) > 4
+    for command, line in zip(rows, re.findall(r"^\| `mapfuse .*$", usage, flags=re.MULTILINE), strict=True):
+        named = set(re.findall(r"`(--[a-z-]+)", line))
+        assert named <= options_of(command), command
+    beside = usage[usage.index("Of `fuse`, ") :]
+    assert set(re.findall(r"`(--[a-z-]+)", beside)) <= options_of("fuse")

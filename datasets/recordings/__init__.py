@@ -1,4 +1,7 @@
-"""The built-in recordings: simulated maps with their truth, made by `make_recordings`, found without reading them."""
+"""The built-in recordings: simulated maps with their truth, found without reading them.
+
+`make_recordings` makes the scenes, `make_paper_maps` the reconstruction of the paper's maps and the hospital pair.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,15 @@ SCENES = {
     "two-buildings": ("north-building-vespucci", "south-building-milka"),
 }
 
+#: The 19 maps of the paper's Table 1, **a reconstruction**: `mapfuse.datasets.paper` has the table.
+PAPER_MAPS = tuple(f"D{k}" for k in range(1, 20))
+#: Two robots in one hospital, from its West and from its East wing, both round the lifts (section 4.2 of the paper).
+HOSPITAL = ("hospital-west-vespucci", "hospital-east-milka")
+_FOLDERS = {"paper": PAPER_MAPS, "hospital": HOSPITAL}
+
 
 def names() -> tuple[str, ...]:
-    """Names of all built-in maps, by scene.
+    """Names of the maps of all `SCENES`.
 
     >>> names()[:2]
     ('ground-floor-vespucci', 'ground-floor-milka')
@@ -22,22 +31,27 @@ def names() -> tuple[str, ...]:
 
 
 def path(name: str) -> Path:
-    """File of the built-in map ``name``; KeyError for a name that isn't one of `names`.
+    """File of the built-in map ``name``, of a scene, `PAPER_MAPS` or `HOSPITAL`; KeyError for another name.
 
     >>> path("ground-floor-milka").name
     'ground-floor-milka.map.json'
     """
-    if name not in names():
-        raise KeyError(name)
-    return _file(f"{name}.map.json")
+    if name in names():
+        return _file(f"{name}.map.json")
+    for folder, held in _FOLDERS.items():
+        if name in held:
+            return _file(f"{folder}/{name}.map.json")
+    raise KeyError(name)
 
 
 def truth_path(scene: str) -> Path:
-    """Truth file of a scene of `SCENES`; KeyError for one that isn't there.
+    """Truth file of a scene of `SCENES`, of "paper" or of "hospital"; KeyError for one that isn't there.
 
     >>> truth_path("ground-floor").name
     'ground-floor.truth.json'
     """
+    if scene in _FOLDERS:
+        return _file(f"{scene}/{scene}.truth.json")
     if scene not in SCENES:
         raise KeyError(scene)
     return _file(f"{scene}.truth.json")

@@ -53,7 +53,7 @@ def main(folder: str | Path | None = None) -> tuple[Path, ...]:
     for scene, takes in (("ground-floor", _ground_floor()), ("two-buildings", _two_buildings())):
         truth_name = f"{scene}.truth.json"
         for recording, floor, route in takes:
-            recorded = _rounded(with_outline(recording, floor, route))
+            recorded = rounded(with_outline(recording, floor, route))
             recorded = recorded.replace(extra={**recorded.extra, "note": NOTE.format(truth=truth_name)})
             written.append(target / f"{recorded.name}.map.json")
             mapfile.write_map(recorded, written[-1])
@@ -62,7 +62,7 @@ def main(folder: str | Path | None = None) -> tuple[Path, ...]:
     return tuple(written)
 
 
-def _rounded(recorded: LandmarkMap) -> LandmarkMap:
+def rounded(recorded: LandmarkMap) -> LandmarkMap:
     """Numbers to the micrometre and microradian, so that the last bits of a machine's algebra aren't in the file."""
     return recorded.replace(
         landmarks=tuple(

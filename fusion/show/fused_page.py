@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,8 +46,15 @@ def _joined(names: Iterable[str]) -> str:
 def map_page(map_: LandmarkMap) -> Page:
     """The page of one map."""
     robot = f" by {map_.robot}" if map_.robot else ""
-    title = f"{shortened(map_.name)}: {counted(len(map_), 'landmark')}{robot}"
+    title = f"{shortened(map_.name)}: {counted(len(map_), 'landmark')}{robot}{_origin([map_])}"
     return Page(title, (map_.name,), mains=(Panel("", scene_of_map(map_)),))
+
+
+def _origin(maps: Sequence[LandmarkMap]) -> str:
+    """Says of maps that no robot recorded that they are simulated."""
+    if not any(map_.extra.get("simulated") for map_ in maps):
+        return ""
+    return ", simulated" + (" (a reconstruction)" if any(map_.extra.get("reconstruction") for map_ in maps) else "")
 
 
 def fused_page(fused: FusedMap) -> Page:
@@ -71,7 +78,8 @@ def fused_page(fused: FusedMap) -> Page:
 
 def _title(fused: FusedMap) -> str:
     names = _joined(fused.maps) if len(fused.maps) <= 4 else counted(len(fused.maps), "map")
-    return f"{names}: {fused.decision.replace('_', ' ')}, {_probability(fused)}"
+    origin = _origin(list(fused.sources.values()))
+    return f"{names}{origin}: {fused.decision.replace('_', ' ')}, {_probability(fused)}"
 
 
 def _probability(fused: FusedMap) -> str:

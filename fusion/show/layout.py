@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .scene import Scene
+from .backdrop import Backdrop, extent
+from .scene import Array, Scene, widened
 
 #: Breaks a title into lines of at most that width [inches].
 Wrap = Callable[[str, float], str]
@@ -24,16 +25,23 @@ MAX_SOURCES = 6
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """A scene with its title; ``labelled`` False: never with ids."""
+    """A scene with its title, on a ``ground`` where there is one; ``labelled`` False: never with ids."""
 
     title: str
     scene: Scene
     labelled: bool = True
+    ground: Backdrop | None = None
+
+    @property
+    def extent(self) -> tuple[Array, Array]:
+        """Lower and upper corner (2,) [m] of scene and ground, at least four metres wide."""
+        found = None if self.ground is None else extent([*self.ground.spots, self.scene.positions, *self.scene.walls])
+        return self.scene.extent if found is None else widened(*found)
 
     @property
     def aspect(self) -> float:
         """Height over width of what is shown."""
-        low, high = self.scene.extent
+        low, high = self.extent
         width, height = high - low
         return float(height / width)
 
@@ -50,9 +58,9 @@ class Slot:
     metres_per_inch: float
 
 
-def scale(scene: Scene, width: float, height: float) -> float:
-    """Metres per inch at which a scene fits into a box [inches], with room for markers at the edge."""
-    low, high = scene.extent
+def scale(panel: Panel, width: float, height: float) -> float:
+    """Metres per inch at which a panel fits into a box [inches], with room for markers at the edge."""
+    low, high = panel.extent
     across, up = high - low
     return float(max(across / max(width - 0.4, 0.5), up / max(height - 0.4, 0.5)))
 
@@ -70,7 +78,7 @@ def _row(
     inner = each - LEFT - RIGHT
     panels = [replace(p, title=wrap(p.title, inner)) for p in panels]
     height = float(np.clip(max(p.aspect * (inner - 0.4) + 0.4 for p in panels), *limits))
-    metres = max(scale(p.scene, inner, height) for p in panels)
+    metres = max(scale(p, inner, height) for p in panels)
     above = max(title_height(p.title) for p in panels)
     return [
         Slot(p, left + k * (each + GAP) + LEFT, top + above + height, inner, height, metres)
@@ -109,12 +117,12 @@ def _beside(sources: Sequence[Panel], main: Panel, wrap: Wrap) -> list[Slot]:
     height = max(wanted, column - above)
     spare = (above + height - column) / len(slots)
     # What the merged map is higher is shared out among the maps at the left.
-    metres = max(scale(s.panel.scene, s.width, s.height + spare) for s in slots)
+    metres = max(scale(s.panel, s.width, s.height + spare) for s in slots)
     slots = [
         Slot(s.panel, s.left, s.below_top + (k + 1) * spare, s.width, s.height + spare, metres)
         for k, s in enumerate(slots)
     ]
-    main_scale = scale(main.scene, inner, height)
+    main_scale = scale(main, inner, height)
     return [*slots, Slot(main, right + LEFT, above + height, inner, height, main_scale)]
 
 

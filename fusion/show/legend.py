@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.lines import Line2D
 
+from .backdrop import Backdrop
 from .labels import shortened
+from .layout import Panel
 from .panel import look
 from .scene import COMMON_OWNER, Scene
-from .style import GREY, INK, MARKER_FROM_KIND, WALL, LineStyle
+from .style import ALARM, BUILDING, GREY, INK, MAPPED, MARKER_FROM_KIND, ODOMETRY, SENSED, WALL, LineStyle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,7 +47,7 @@ def _owner_entries(scenes: Sequence[Scene], names: Sequence[str]) -> list[Entry]
     return entries
 
 
-def _entries(scenes: Sequence[Scene], names: Sequence[str], ellipse_scale: float) -> list[Entry]:
+def _entries(scenes: Sequence[Scene], names: Sequence[str], ellipse_scale: float, wall: str = "wall") -> list[Entry]:
     """Who recorded it, and what the other signs mean."""
     entries = _owner_entries(scenes, names)
     if any(scene.doubtful.any() for scene in scenes):
@@ -60,8 +62,31 @@ def _entries(scenes: Sequence[Scene], names: Sequence[str], ellipse_scale: float
     if any(not arm.passable for scene in scenes for arm in scene.arms):
         entries.append((_handle("|", size=6.0, color=INK), "blocked"))
     if any(scene.walls for scene in scenes):
-        entries.append((_handle(line="-", color=WALL, linewidth=1.0), "wall"))
+        entries.append((_handle(line="-", color=WALL, linewidth=1.0), wall))
     return entries
+
+
+def _ground_entries(grounds: Sequence[Backdrop]) -> list[Entry]:
+    """What is true and what was sensed, where a panel shows it."""
+    looks: tuple[tuple[bool, Handle, str], ...] = (
+        (any(len(g.walls) for g in grounds), _handle(line="-", color=BUILDING, linewidth=2.2), "true wall"),
+        (any(len(g.places) for g in grounds), _handle("+", size=6.0, color=INK), "true landmark"),
+        (any(len(g.true_path) for g in grounds), _handle(line="-", color=INK, linewidth=0.9), "true path"),
+        (
+            any(len(g.odometry) for g in grounds),
+            _handle(line=(0, (4.0, 2.0)), color=ODOMETRY, linewidth=0.9),
+            "path by odometry",
+        ),
+        (
+            any(len(g.mapped) for g in grounds),
+            _handle(line=(0, (1.0, 1.0)), color=MAPPED, linewidth=0.9),
+            "path in the map",
+        ),
+        (any((~g.false).any() for g in grounds), _handle("o", size=3.5, color=SENSED), "detection"),
+        (any(g.false.any() for g in grounds), _handle("x", size=4.5, color=ALARM), "false alarm"),
+        (any(len(g.points) for g in grounds), _handle(".", size=1.5, color=SENSED), "scan point"),
+    )
+    return [(handle, label) for shown, handle, label in looks if shown]
 
 
 def _kind_entries(scenes: Sequence[Scene]) -> list[Entry]:
@@ -74,10 +99,13 @@ def _kind_entries(scenes: Sequence[Scene]) -> list[Entry]:
 
 
 def draw_legends(
-    figure: Figure, scenes: Sequence[Scene], names: Sequence[str], width_in: float, ellipse_scale: float
+    figure: Figure, panels: Sequence[Panel], names: Sequence[str], width_in: float, ellipse_scale: float
 ) -> list[tuple[Legend, float]]:
-    """Legends of these scenes with their heights [inches]: who recorded it, then kinds; empty ones are left out."""
-    parts = (_entries(scenes, names, ellipse_scale), _kind_entries(scenes))
+    """Legends of these panels with their heights [inches]: who recorded it, the ground, kinds; no empty ones."""
+    scenes = [panel.scene for panel in panels]
+    grounds = [panel.ground for panel in panels if panel.ground is not None]
+    wall = "wall in the map" if grounds else "wall"
+    parts = (_entries(scenes, names, ellipse_scale, wall), _ground_entries(grounds), _kind_entries(scenes))
     return [_legend(figure, entries, width_in) for entries in parts if entries]
 
 

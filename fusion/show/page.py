@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 from mapfuse.datasets.errors import ConfigError
 from mapfuse.datasets.files import write_whole
 
+from .backdrop import draw_backdrop
 from .fused_page import Page
 from .labels import wrapped
 from .layout import MARGIN, PAGE_WIDTH, Slot, arrange
@@ -37,8 +38,7 @@ def draw_page(page: Page, path: str | Path | None, *, ids: bool | None, ellipse_
     head = [_title(figure, page.title), *(_text(figure, fact, 9.0) for fact in page.facts)]
     slots, panels_height = arrange(page.sources, page.mains, lambda title, width: wrapped(figure, title, 8.5, width, 4))
     statement = _statement(figure, page)
-    scenes = [slot.panel.scene for slot in slots]
-    legends = draw_legends(figure, scenes, page.names, _TEXT_WIDTH, ellipse_scale)
+    legends = draw_legends(figure, [slot.panel for slot in slots], page.names, _TEXT_WIDTH, ellipse_scale)
     notes = [_text(figure, note, 8.5, max_lines=8) for note in page.notes]
 
     head_height = MARGIN + sum(_height(text) + 0.07 for text in head) + 0.08
@@ -109,7 +109,7 @@ def _stack(texts: list[Text], top: float, total: float) -> None:
 def _draw_slot(figure: Figure, slot: Slot, above: float, total: float, ids: bool | None, ellipse_scale: float) -> None:
     bottom = total - above - slot.below_top
     axes = figure.add_axes((slot.left / PAGE_WIDTH, bottom / total, slot.width / PAGE_WIDTH, slot.height / total))
-    low, high = slot.panel.scene.extent
+    low, high = slot.panel.extent
     centre = (low + high) / 2
     reach_x, reach_y = slot.width * slot.metres_per_inch / 2, slot.height * slot.metres_per_inch / 2
     axes.set_xlim(centre[0] - reach_x, centre[0] + reach_x)
@@ -123,11 +123,14 @@ def _draw_slot(figure: Figure, slot: Slot, above: float, total: float, ids: bool
         spine.set_linewidth(0.6)
     axes.set_title(slot.panel.title, fontsize=8.5, loc="left", color=INK, pad=5, parse_math=False)
     scene = slot.panel.scene
-    if not len(scene):
+    ground = slot.panel.ground
+    if not len(scene) and ground is None:
         axes.text(0.5, 0.5, "no landmarks", transform=axes.transAxes, ha="center", color=GREY, fontsize=9)
     metres_per_point = slot.metres_per_inch / 72.0
     wanted = ids if slot.panel.labelled else False
     size = sizes(scene.positions, slot.width, slot.height, metres_per_point, wanted)
+    if ground is not None:
+        draw_backdrop(axes, ground, size)
     draw_scene(axes, scene, size, metres_per_point, ellipse_scale)
 
 

@@ -1,4 +1,6 @@
-"""Pictures of one map and of what a fusion answered: both maps, then the merged map, or why there is none.
+"""Pictures of one map, of a log, of drives through a building, and of what a fusion answered.
+
+Of a fusion: both maps, then the merged map, or why there is none.
 
 The merged map shows its landmarks with 95 % ellipses, common ones circled as in Figs. 4 and 5 of Dedeoglu and
 Sukhatme (2000), doubtful ones hollow. What wasn't merged is never drawn as if it were.
@@ -7,7 +9,7 @@ Sukhatme (2000), doubtful ones hollow. What wasn't merged is never drawn as if i
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +20,12 @@ from ..result import FusedMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from mapfuse.datasets.logs import LogHeader
+    from mapfuse.datasets.simulation.building import Building
+    from mapfuse.datasets.truth import Truth
+
+    from .log_page import Drive
 
 
 def draw_fused(
@@ -70,6 +78,53 @@ def draw_map(
 
     with _any_script():
         return draw_page(map_page(map_), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
+
+
+def draw_log(
+    header: LogHeader,
+    drive: Drive,
+    path: str | Path | None = None,
+    *,
+    simulated: bool = False,
+    ids: bool | None = None,
+    ellipse_scale: float = 1.0,
+    dpi: float = 150.0,
+) -> Figure:
+    """A page that shows one drive: path by odometry, detections, scan points, and truth and map where they are known.
+
+    All in the frame of the robot's start, or in the world where there is a truth. Other parameters, errors and file
+    as for `draw_fused`.
+    """
+    from .log_page import log_page
+    from .page import draw_page
+
+    with _any_script():
+        page = log_page(header, drive, simulated=simulated)
+        return draw_page(page, path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
+
+
+def draw_building(
+    building: Building,
+    drives: Sequence[Drive] = (),
+    path: str | Path | None = None,
+    *,
+    truth: Truth | None = None,
+    title: str | None = None,
+    ids: bool | None = None,
+    ellipse_scale: float = 1.0,
+    dpi: float = 150.0,
+) -> Figure:
+    """A page that shows simulated drives through a building, each in a panel of its own, all in the world.
+
+    Building, true path, path by odometry, detections, and on top the map; ``truth`` is that of the maps. Other
+    parameters, errors and file as for `draw_fused`.
+    """
+    from .log_page import building_page
+    from .page import draw_page
+
+    with _any_script():
+        page = building_page(building, drives, truth, title)
+        return draw_page(page, path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
 
 
 @contextmanager

@@ -62,9 +62,7 @@ class Scene:
     def extent(self) -> tuple[Array, Array]:
         """Lower and upper corner (2,) [m] of everything, at least four metres wide."""
         points = np.concatenate([self.positions, *self.walls]) if len(self) or self.walls else np.zeros((1, 2))
-        low, high = points.min(axis=0), points.max(axis=0)
-        missing = np.maximum(0.0, 4.0 - (high - low)) / 2
-        return low - missing, high + missing
+        return widened(points.min(axis=0), points.max(axis=0))
 
     def moved(self, T: Array) -> Scene:
         """The same in another frame: ``T`` (3,) takes this frame's coordinates there."""
@@ -76,6 +74,12 @@ class Scene:
             covariances=R @ self.covariances @ R.T,
             walls=tuple(se2.transform(T, wall) for wall in self.walls),
         )
+
+
+def widened(low: Array, high: Array) -> tuple[Array, Array]:
+    """Corners (2,) [m] of a box, drawn apart where it is less than four metres wide."""
+    missing = np.maximum(0.0, 4.0 - (high - low)) / 2
+    return low - missing, high + missing
 
 
 def _arms(landmarks: Iterable[Landmark]) -> tuple[Arm, ...]:

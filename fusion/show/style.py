@@ -20,6 +20,8 @@ LineStyle = Literal["-", "none"] | tuple[float, tuple[float, ...]]
 INK = "#1a1a1a"
 WALL = "#b8b8b8"
 GREY = "#6e6e6e"
+#: A true building; the robot's path by odometry and by its map; what was sensed, and sensed wrongly.
+BUILDING, ODOMETRY, MAPPED, SENSED, ALARM = "#d9d9d9", "#D55E00", "#009E73", "#56B4E9", "#B0578A"
 
 #: Ends of the 95 % region of a position: the chi-square quantile for two degrees of freedom.
 CHI2_95 = 5.991464547107979

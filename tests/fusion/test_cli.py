@@ -384,7 +384,7 @@ def test_a_terminal_without_our_characters() -> None:
 def test_help_of_every_command_and_version() -> None:
     assert run("--version").stdout.split()[0] == "mapfuse"
     overview = run("--help").stdout
-    for name in ("fuse", "demo", "show", "config"):
+    for name in ("fuse", "map", "simulate", "demo", "show", "config"):
         assert f"\n  {name} " in overview
         page = run(name, "--help")
         assert page.returncode == 0
