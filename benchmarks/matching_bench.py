@@ -1,24 +1,38 @@
 """Times of the matchers on alike corridor buildings and on unlabelled points; prints a table.
 
-Run: ``python benchmarks/matching_bench.py [--repeat N] [--json]``. Times are the best of N runs on one core, warm.
+Run: ``python benchmarks/matching_bench.py [--repeat N] [--json] [--sizes N ...] [--cold] [--write]``. Times are the
+best of N runs on one core, warm. ``--sizes``: `propose` in the default mode on maps of so many landmarks, with what is
+done once per map and the memory above the input; ``--cold``: the first call of a process, with kernels from the cache
+and without. ``--write`` keeps both in ``benchmarks/results/matching-times.md``. The gate is that of ``run.py``.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matching_floors import pair_of_maps
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.matching.config import MatchingConfig
 from mapfuse.matching.exhaustive import match_exhaustively
+from mapfuse.matching.landmark_arrays import landmark_arrays
 from mapfuse.matching.point_pairs import match_point_pairs
+from mapfuse.matching.propose import propose
 
 TRUE_T12 = np.array([12.0, -7.0, 0.8])
 
@@ -76,14 +90,116 @@ def unlabelled(n: int, rng: np.random.Generator) -> tuple[LandmarkMap, LandmarkM
     return maps[0], maps[1]
 
 
-def measured(job: str, map2: LandmarkMap, run: Callable[[], Any], repeat: int) -> Row:
+#: Landmarks per map -> promised time of `propose` [ms], of what is done once per map [ms], and memory [MB].
+PROMISED = {
+    20: (1.0, None, None),
+    100: (5.0, 20.0, None),
+    1000: (25.0, 300.0, 20.0),
+    10_000: (80.0, 5000.0, 60.0),
+    100_000: (1500.0, None, 400.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SizeRow:
+    """`propose` on two maps of about ``n`` landmarks: processor times [ms], memory above the input [MB], right or not.
+
+    The memory is what numpy has at most at a time; the kernels' own arrays add some 100 bytes a landmark.
+    """
+
+    n: int
+    propose_ms: float
+    per_map_ms: float
+    memory_mb: float
+    right: bool
+
+
+def prepare(recorded: LandmarkMap) -> None:
+    """What is done once per map."""
+    arrays = landmark_arrays(recorded)
+    for name in ("travelled", "patterns", "by_isolation", "by_place", "near_open", "near_blocked"):
+        getattr(arrays, name)
+
+
+def size_row(n: int, repeat: int) -> SizeRow:
+    """Alike floors, half overlap."""
+    small = pair_of_maps(100, "alike", np.random.default_rng(0))
+    propose(small.map1, small.map2)  # every kernel is loaded
+    pair = pair_of_maps(n, "alike", np.random.default_rng(n))
+    begin = time.process_time()
+    prepare(pair.map1)
+    prepare(pair.map2)
+    per_map = (time.process_time() - begin) / 2
+    times = []
+    for _ in range(repeat):
+        begin = time.process_time()
+        found = propose(pair.map1, pair.map2)
+        times.append(time.process_time() - begin)
+    tracemalloc.start()
+    propose(pair.map1, pair.map2)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    middle = pair.map2.positions[pair.pairs[:, 1]].mean(axis=0)
+    off = se2.transform(found[0].T12.array, middle) - se2.transform(pair.T12, middle)
+    return SizeRow(n, 1e3 * min(times), 1e3 * per_map, peak / 1e6, bool(np.hypot(*off) < 1.0))
+
+
+_FIRST_CALL = """
+import time
+from mapfuse.datasets.simulation import simulated_pair
+map1, map2, _ = simulated_pair(1)
+begin = time.process_time()
+from mapfuse.matching import propose
+propose(map1, map2)
+print(time.process_time() - begin)
+"""
+
+
+def first_calls() -> tuple[float, float]:
+    """Processor seconds of the first call of a process: with nothing in the cache, and with the kernels in it."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
+        command = [sys.executable, "-c", _FIRST_CALL]
+        cold, warm = (
+            float(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
+            for _ in range(2)
+        )
+    return cold, warm
+
+
+def size_table(sizes: list[int], repeat: int, cold: bool) -> list[str]:
+    """Lines of a table; the promised figures in brackets."""
+    lines = ["| landmarks per map | propose, ms | once per map, ms | memory, MB | right |", "|---|---|---|---|---|"]
+    for n in sizes:
+        row = size_row(n, repeat)
+        promised = PROMISED.get(n, (None, None, None))
+        values = [
+            f"{value:.3g}" + (f" ({limit:g})" if limit else "")
+            for value, limit in zip((row.propose_ms, row.per_map_ms, row.memory_mb), promised, strict=True)
+        ]
+        lines.append(f"| {n} | {' | '.join(values)} | {'yes' if row.right else 'no'} |")
+    if cold:
+        without, kept = first_calls()
+        lines += [
+            "",
+            f"First call of a process: {without:.1f} s without kernels in the cache (20), {kept:.2f} s with (1.5).",
+        ]
+    about = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return [
+        f"Simulated alike floors, processor time; promised figures in brackets. {about}, {datetime.now(UTC):%Y-%m-%d}",
+        "",
+        *lines,
+    ]
+
+
+def measured(job: str, points2: np.ndarray, run: Callable[[], Any], repeat: int, T12: np.ndarray = TRUE_T12) -> Row:
     """Best time of ``repeat`` runs after a warm one."""
     found, times = run(), []
     for _ in range(repeat):
         begin = time.perf_counter()
         found = run()
         times.append(time.perf_counter() - begin)
-    off = se2.transform(found[0].T12.array, map2.positions) - se2.transform(TRUE_T12, map2.positions)
+    off = se2.transform(found[0].T12.array, points2) - se2.transform(T12, points2)
     return Row(job, round(1e3 * min(times), 2), len(found), round(float(np.hypot(*off.T).mean()), 3))
 
 
@@ -96,12 +212,17 @@ def rows(repeat: int) -> list[Row]:
         one, two = recorded(places, np.zeros(3), rng), recorded(places, TRUE_T12, rng)
         for name, config in (("H1 H2", MatchingConfig()), ("H1 only", MatchingConfig(use_h2=False))):
             job = f"exhaustive {name} {n} x {n}"
-            out.append(measured(job, two, lambda: match_exhaustively(one, two, config).best(64), repeat))  # noqa: B023
+            out.append(measured(job, two.positions, lambda: match_exhaustively(one, two, config).best(64), repeat))  # noqa: B023
             job += " all values"
-            out.append(measured(job, two, lambda: match_exhaustively(one, two, config).hypotheses, repeat))  # noqa: B023
+            out.append(measured(job, two.positions, lambda: match_exhaustively(one, two, config).hypotheses, repeat))  # noqa: B023
+    for n in (20, 100, 1000):
+        pair = pair_of_maps(n, "alike", np.random.default_rng(n))
+        middle = pair.map2.positions[pair.pairs[:, 1]].mean(axis=0)
+        job = f"propose {n} x {n}"
+        out.append(measured(job, middle[None], lambda: propose(pair.map1, pair.map2), repeat, pair.T12))  # noqa: B023
     for n in (20, 40, 100, 300):
         one, two = unlabelled(n, np.random.default_rng(n))
-        out.append(measured(f"point pairs {n} x {n}", two, lambda: match_point_pairs(one, two), repeat))  # noqa: B023
+        out.append(measured(f"point pairs {n} x {n}", two.positions, lambda: match_point_pairs(one, two), repeat))  # noqa: B023
     return out
 
 
@@ -110,7 +231,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--sizes", type=int, nargs="+", help="landmarks per map")
+    parser.add_argument("--cold", action="store_true")
+    parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
+    if arguments.sizes:
+        text = "\n".join([*size_table(arguments.sizes, arguments.repeat, arguments.cold), ""])
+        print(text)
+        if arguments.write:
+            (Path(__file__).parent / "results" / "matching-times.md").write_text(text)
+        return
     table = rows(arguments.repeat)
     if arguments.json:
         print(json.dumps([asdict(row) for row in table], indent=1))

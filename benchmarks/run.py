@@ -24,6 +24,9 @@ _MATCHING_LIMIT_MS = {
     "exhaustive H1 H2 20 x 20": 5.0,
     "exhaustive H1 H2 100 x 100": 100.0,
     "exhaustive H1 H2 300 x 300": None,
+    "propose 20 x 20": None,
+    "propose 100 x 100": None,
+    "propose 1000 x 1000": None,
     "point pairs 40 x 40": 100.0,
     "point pairs 300 x 300": None,
 }

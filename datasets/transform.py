@@ -30,7 +30,8 @@ class Transform:
     covariance: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "theta", float(se2.wrap(self.theta)))
+        if not -np.pi < self.theta <= np.pi:  # most are in range, and arrays are slow for one number
+            object.__setattr__(self, "theta", float(se2.wrap(self.theta)))
         if self.covariance is not None:
             object.__setattr__(self, "covariance", frozen_array(self.covariance))
 

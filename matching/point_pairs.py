@@ -3,47 +3,48 @@
 One landmark of each map leaves the rotation open; two of each fix it. So every two neighbours (i, i') of map 1 and
 (j, j') of map 2 with equal labels and, within tolerance, equal distance vote for "i is j, and map 2 is turned by the
 difference of their directions". Votes are counted per (i, j, rotation): the position is anchored at i and j, where it
-is exact, so that neither the distance to an origin nor a bend of the maps far away blurs the peak. The strongest peaks
-are refined, all at once, by assignment and weighted closed-form alignment, and ranked by a log likelihood ratio.
-Each vote is a proper rotation: a mirrored map is never proposed.
+is exact, so that neither the distance to an origin nor a bend of the maps far away blurs the peak. The strongest are
+refined around their anchors; the best of those grow over the maps: a landmark is looked for where the alignment and
+the bend of its matched neighbours predict it, as soon as the prediction is sure enough. What has grown is ranked by a
+log likelihood ratio. Each vote is a proper rotation: a mirrored map is never proposed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import ConfigError
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
 
-from .assignment import PointGrid, label_codes, one_to_one
 from .candidates import through
+from .compiled import kernels
 from .config import MatchingConfig
-from .hypothesis import Hypothesis
-from .modes import distinct
+from .hypothesis import Correspondences, Hypothesis
+from .landmark_arrays import landmark_arrays, shared_labels
+from .point_arrays import PointArrays, point_arrays
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_BINS = 72
-_ACCUMULATOR_CELLS = 8_000_000
-_DENSITY_NEIGHBOURS = 6
-_REACH_NEIGHBOURS = 3
-_LEAST_SIGMA = 0.035
 _NOISE_PRIOR = 3.0
-# Rotation [rad] by which a peak may be off before it is refined.
+#: Rotation [rad] by which a peak may be off before it is refined.
 _COARSE_ROTATION = 0.06
-_MOST_GROWTH = 4.0
-# Probability that a place was looked at which is as near to a landmark as other landmarks are.
+#: Without a stated bend its variance is so many times that of the noise.
+_BEND_VARIANCE = 3.0
+#: Probability that a place was looked at which is as near to a landmark as other landmarks are.
 _COVERAGE = 0.5
-_ASKED_NEIGHBOURS = 12
+#: What a match must be worth [nats] under its prediction.
+_LEAST_GAIN = 0.0
 _FEWEST_ANCHORS = 16
+#: Pairs (i, j) times pairs of their far neighbours that are looked at.
+_FAR_PAIRS = 6_000_000
+_ROUNDS = 6
+_NEAR = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,46 +52,50 @@ class PointPairConfig:
     """How landmarks without heading propose.
 
     ``distance_sigmas``: two distances are equal when they differ by at most that many standard deviations.
-    ``near``, ``far``: each landmark is paired with its so many nearest ones; both are tried. ``votes``: cast at most,
-    those of the shortest pairs first. ``seeds``: peaks of each that are refined around their anchor; ``refined``:
-    distinct ones of them that are refined everywhere. ``gate_sigmas``: landmarks match within that many standard
-    deviations.
+    ``near``, ``far``: each landmark is paired with its so many nearest ones; both are tried, far ones in small maps.
+    ``anchors``: pairs (i, j) that are asked at most; of larger maps a part of the smaller one's landmarks asks, rare
+    labels first. ``seeds``: peaks that are refined around their anchor, times the square root of a hundredth of the
+    landmarks; ``grown``: landmarks in all the modes that grow over the maps, the best of the refined, at least
+    ``least_grown`` modes. ``gate_sigmas``: landmarks match within that many standard deviations.
     """
 
     distance_sigmas: float = 2.0
-    near: int = 10
-    far: int = 60
-    votes: int = 1_000_000
-    seeds: int = 160
-    refined: int = 96
+    near: int = 16
+    far: int = 40
+    anchors: int = 500_000
+    seeds: int = 600
+    grown: int = 4_000
+    least_grown: int = 24
     gate_sigmas: float = 3.0
 
     def __post_init__(self) -> None:
-        for name in ("distance_sigmas", "near", "far", "votes", "seeds", "refined", "gate_sigmas"):
+        for name in ("distance_sigmas", "near", "far", "anchors", "seeds", "grown", "least_grown", "gate_sigmas"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"matching.point_pairs.{name} is {getattr(self, name)!r}; it must be greater than 0")
 
 
 @dataclass(frozen=True, slots=True)
-class _Points:
-    """What the search needs of one map's landmarks, (n, ...): positions [m], label codes, variance per axis [m^2].
+class _Problem:
+    """Both maps with common label codes, and the scales [m] of noise and bend between them.
 
-    ``density`` [1 / m^2]: of recorded landmarks of that label around each; ``reach`` [m]: how far around each the
-    robot has looked, as far as one can tell from its neighbours; ``recorded``: probability that a true one is in it
-    and that it is true, ``detection_rate (1 - false_alarm_rate)``.
+    ``rarity1``, ``rarity2`` (n,): log of what a match is worth but for its residual, half of it from each map.
     """
 
-    xy: Array
-    label: Indices
-    variance: Array
-    density: Array
-    reach: Array
-    recorded: Array
+    one: PointArrays
+    two: PointArrays
+    label1: NDArray[np.int32]
+    label2: NDArray[np.int32]
+    rarity1: Array
+    rarity2: Array
+    variance: float
+    drift: float
+    bend: float
+    scale: float
 
-    def grid(self, other: _Points, gate_sigmas: float) -> PointGrid:
-        """These points in cells as large as the widest gate to those of the other map."""
-        widest = _MOST_GROWTH * (self.variance.max() + other.variance.max())
-        return PointGrid(self.xy, gate_sigmas * float(np.sqrt(widest)))
+    @property
+    def sigma(self) -> float:
+        """Typical standard deviation [m] per axis of the residual of a match."""
+        return float(np.sqrt(self.variance))
 
 
 def match_point_pairs(
@@ -104,7 +109,7 @@ def match_point_pairs(
     Headings and arms are not looked at. Positions are taken to have ``noise.position_sigma`` [m] per axis or their own
     covariance, and distances ``noise.distance_sigma_per_metre``; noise that is stated too large by up to four is
     noticed. ``count``, ``correspondences``: the one-to-one matches; ``score`` [nats]: see `_scores`. Two landmarks of
-    each map that match are the least for a hypothesis; fewer give an empty list.
+    each map that match are the least for a hypothesis; fewer give an empty list. Swapped maps give the inverses.
 
     >>> from mapfuse.datasets.maps import Landmark
     >>> at = [(0.0, 0.0), (9.0, 0.0), (3.0, 7.0), (12.0, 5.0)]
@@ -115,283 +120,214 @@ def match_point_pairs(
     (4, 1.571, 2.0, 0.0)
     """
     config, settings = config or MatchingConfig(), settings or PointPairConfig()
-    if len(map1) < 2 or len(map2) < 2:
+    problem = _problem(map1, map2, config)
+    if problem is None:
         return []
-    label1, label2 = label_codes(map1.types, map2.types)
+    # The larger map is looked up and the smaller one moved, whichever comes first: so swapping changes nothing.
+    swapped = problem.two.key > problem.one.key
+    if swapped:
+        problem = replace(
+            problem,
+            one=problem.two,
+            two=problem.one,
+            label1=problem.label2,
+            label2=problem.label1,
+            rarity1=problem.rarity2,
+            rarity2=problem.rarity1,
+        )
+    modes = _searched(problem, config, settings)
+    return [] if modes is None else _hypotheses(map1, map2, problem, modes, swapped)
+
+
+def _problem(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig) -> _Problem | None:
+    """None where no two landmarks of one map can match two of the other."""
+    arrays1, arrays2 = landmark_arrays(map1), landmark_arrays(map2)
+    one, two = point_arrays(arrays1), point_arrays(arrays2)
+    if one is None or two is None:
+        return None
+    label1, label2, _ = shared_labels(arrays1, arrays2)
+    label1, label2 = label1[one.order], label2[two.order]
     if not config.use_h1:
         label1, label2 = np.zeros_like(label1), np.zeros_like(label2)
-    one, two = _points(map1, label1), _points(map2, label2)
+    variance = float(np.median(one.variance) + np.median(two.variance))
     drift = float(np.hypot(map1.noise.distance_sigma_per_metre, map2.noise.distance_sigma_per_metre))
-    # Near neighbours find maps that overlap in a corner, far ones find maps that have few landmarks in common.
-    scales = sorted({min(k, max(len(map1), len(map2)) - 1) for k in (settings.near, settings.far)})
-    peaks = [_peaks(one, two, drift, neighbours, settings) for neighbours in scales]
-    T12s, anchors = (np.concatenate(found) for found in zip(*peaks, strict=True))
+    bend = config.bend_sigma_m if config.bend_sigma_m > 0 else float(np.sqrt(_BEND_VARIANCE * variance))
+    scale = config.bend_length_m if config.bend_length_m > 0 else None
+    if scale is None:
+        scale = bend / drift if drift > 0 else 1e6 * bend + 1.0
+    if drift == 0 and config.bend_sigma_m == 0:
+        bend = 0.0
+    rarity1, rarity2 = (
+        0.5 * (np.log(side.recorded) - np.log(2 * np.pi * side.density * (side.share if config.use_h1 else 1.0)))
+        for side in (one, two)
+    )
+    return _Problem(one, two, label1, label2, rarity1, rarity2, variance, max(drift, bend / scale), bend, scale)
+
+
+@dataclass(frozen=True, slots=True)
+class _Modes:
+    """Distinct modes, best first: T12s (s, 3), the matched ``partner`` (s, n2) of map 2's landmarks in map 1 or -1,
+    scores [nats] (s,), and the ``anchors`` (s, 2) that proposed each; all in the order of `PointArrays`."""
+
+    T12s: Array
+    partner: NDArray[np.int32]
+    score: Array
+    anchors: Indices
+
+
+def _searched(problem: _Problem, config: MatchingConfig, settings: PointPairConfig) -> _Modes | None:
+    one, two = problem.one, problem.two
+    T12s, anchors = _peaks(problem, settings)
     if not len(T12s):
-        return []
-    return _ranked(map1, map2, one, two, (T12s, anchors), drift, config, settings)
-
-
-def _points(landmarks: LandmarkMap, label: Indices) -> _Points:
-    xy, noise = landmarks.positions, landmarks.noise
-    variance = np.full(len(xy), noise.position_sigma**2)
-    joint = landmarks.joint_covariance
-    if joint is not None:
-        diagonal = np.diag(joint.matrix).reshape(-1, joint.rows)
-        for identifier, of_axes in zip(joint.order, diagonal, strict=True):
-            variance[landmarks.index_from_id[identifier]] = of_axes[:2].mean()
-    for k, landmark in enumerate(landmarks.landmarks):
-        if landmark.covariance is not None:
-            variance[k] = np.trace(landmark.covariance[:2, :2]) / 2
-    # The largest decide how far everything is searched, so that one that is hardly known must not blow it up.
-    variance = np.clip(variance, _LEAST_SIGMA**2, max(_MOST_GROWTH * float(np.median(variance)), _LEAST_SIGMA**2))
-    nearest = np.asarray(KDTree(xy).query(xy, k=min(_DENSITY_NEIGHBOURS + 1, len(xy)))[0])
-    # Landmarks at one spot would have infinite density; closer than their noise they can't be told apart anyway.
-    furthest = np.maximum(nearest[:, -1], 2 * np.sqrt(variance))
-    share = np.bincount(label)[label] / len(xy)
-    density = share * (nearest.shape[1] - 1) / (np.pi * furthest**2)
-    recorded = np.array([noise.detection(t) * (1 - noise.false_alarm(t)) for t in landmarks.types])
-    reach = nearest[:, min(_REACH_NEIGHBOURS, nearest.shape[1] - 1)]
-    return _Points(xy, label, variance, density, reach, np.clip(recorded, 0.01, 0.99))
-
-
-@dataclass(frozen=True, slots=True)
-class _Pairs:
-    """Directed pairs of landmarks of one map, (m,): places, length [m], direction [rad], code of their two labels."""
-
-    start: Indices
-    end: Indices
-    length: Array
-    direction: Array
-    labels: Indices
-
-    def taken(self, places: Indices) -> _Pairs:
-        return _Pairs(*(getattr(self, name)[places] for name in ("start", "end", "length", "direction", "labels")))
-
-
-def _neighbour_pairs(points: _Points, neighbours: int, n_labels: int, shortest: float) -> _Pairs:
-    """Each landmark with its nearest others that are at least ``shortest`` [m] away."""
-    n = len(points.xy)
-    _, near = KDTree(points.xy).query(points.xy, k=min(neighbours + 1, n))
-    start, end = np.repeat(np.arange(n), near.shape[1]), near.ravel().astype(np.intp)
-    offset = points.xy[end] - points.xy[start]
-    length = np.hypot(offset[:, 0], offset[:, 1])
-    labels = points.label[start] * n_labels + points.label[end]
-    pairs = _Pairs(start, end, length, np.arctan2(offset[:, 1], offset[:, 0]), labels)
-    return pairs.taken(np.flatnonzero((length >= shortest) & (start != end)))
-
-
-def _equal_pairs(
-    one: _Pairs, two: _Pairs, tolerance: Array, anchors_of: Callable[[Indices], Indices], budget: int
-) -> tuple[Indices, Indices, Indices]:
-    """All that have equal labels and lengths: places (pair of 1, pair of 2), and the anchors they start from in map 2.
-
-    ``tolerance`` [m] is per pair of 2; ``anchors_of`` says, from how many equals each pair of 2 has, which landmarks
-    of map 2 are asked; of those the shortest pairs count, up to ``budget``. A sorted join: memory grows with what is
-    returned.
-    """
-    apart = 4 * (one.length.max() + two.length.max() + tolerance.max())
-    key1, key2 = one.labels * apart + one.length, two.labels * apart + two.length
-    order = np.argsort(key1, kind="stable")
-    low = np.searchsorted(key1[order], key2 - tolerance, side="left")
-    n = np.searchsorted(key1[order], key2 + tolerance, side="right") - low
-    anchors = anchors_of(n)
-    shortest_first = np.argsort(two.length, kind="stable")
-    shortest_first = shortest_first[np.isin(two.start[shortest_first], anchors)]
-    within = max(1, int(np.searchsorted(np.cumsum(n[shortest_first]), budget, side="right")))
-    take = shortest_first[:within]
-    n, low = n[take], low[take]
-    place = np.repeat(low - (np.cumsum(n) - n), n) + np.arange(n.sum())
-    return order[place], np.repeat(take, n), anchors
-
-
-def _anchors(one: _Points, two: _Points, pairs2: _Pairs, equals: Indices, budget: int) -> Indices:
-    """Landmarks of map 2 from which votes are cast: all, or so many that each can cast enough.
-
-    A few that ask a dozen neighbours find more than many that can ask but two.
-    """
-    n = len(two.xy)
-    first = np.searchsorted(pairs2.start, np.arange(n))
-    nearest = np.arange(len(pairs2.start)) - first[pairs2.start] < _ASKED_NEIGHBOURS
-    each = max(1.0, float(equals[nearest].sum()) / n)
-    n_anchors = max(1, min(max(_FEWEST_ANCHORS, int(budget / each)), _ACCUMULATOR_CELLS // (_BINS * len(one.xy))))
-    if n_anchors >= n:
-        return np.arange(n)
-    # Evenly by density: a choice in which neither the order of the landmarks nor the frame has a say.
-    spread = np.linspace(0, n - 1, n_anchors).astype(np.intp)
-    return np.sort(np.argsort(two.density, kind="stable")[spread])
-
-
-def _peaks(
-    one: _Points, two: _Points, drift: float, neighbours: int, settings: PointPairConfig
-) -> tuple[Array, Indices]:
-    """The T12s (s, 3) with most votes, strongest first, and the (s, 2) landmarks that each is anchored at."""
-    sigma = np.sqrt(2) * _sigma(one, two)  # of the difference of two distances
-    n_labels = 1 + int(max(one.label.max(), two.label.max()))
-    shortest = settings.distance_sigmas * sigma
-    pairs1, pairs2 = (_neighbour_pairs(p, neighbours, n_labels, shortest) for p in (one, two))
-    if not len(pairs1.start) or not len(pairs2.start):
-        return np.zeros((0, 3)), np.zeros((0, 2), dtype=np.intp)
-    tolerance = settings.distance_sigmas * np.hypot(sigma, drift * pairs2.length)
-    k1, k2, anchors = _equal_pairs(
-        pairs1, pairs2, tolerance, lambda n: _anchors(one, two, pairs2, n, settings.votes), settings.votes
-    )
-
-    turn = (pairs1.direction[k1] - pairs2.direction[k2]) / (2 * np.pi) * _BINS
-    slot = np.zeros(len(two.xy), dtype=np.intp)
-    slot[anchors] = np.arange(len(anchors))
-    row = pairs1.start[k1] * len(anchors) + slot[pairs2.start[k2]]
-    cell = row * _BINS + np.floor(turn).astype(np.intp) % _BINS
-    votes = np.bincount(cell, minlength=len(one.xy) * len(anchors) * _BINS).reshape(-1, _BINS).astype(np.float32)
-    before, after = np.roll(votes, 1, axis=1), np.roll(votes, -1, axis=1)
-    together = votes + (before + after) / 2
-    peak = (together >= np.roll(together, 1, axis=1)) & (together > np.roll(together, -1, axis=1))
-    surplus = together - votes.sum(axis=1, keepdims=True) * np.float32(2 / _BINS)
-    row, bin_ = np.nonzero(peak)
-    strongest = np.argsort(-surplus[row, bin_], kind="stable")[: settings.seeds]
-    row, bin_ = row[strongest], bin_[strongest]
-    shift = (after[row, bin_] - before[row, bin_]) / 2 / together[row, bin_]
-    rotation = se2.wrap((bin_ + 0.5 + shift) * (2 * np.pi / _BINS))
-    i, j = row // len(anchors), anchors[row % len(anchors)]
-    return through(one.xy[i], two.xy[j], rotation), np.stack([i, j], axis=1)
-
-
-@dataclass(frozen=True, slots=True)
-class _Matched:
-    """Matches of s transformations at once, (e,): which T12, landmark 1, landmark 2, squared distance, variance."""
-
-    mode: Indices
-    i: Indices
-    j: Indices
-    squared: Array
-    variance: Array
-
-
-def _match(
-    one: _Points, two: _Points, T12s: Array, centre2: Array, drift: float, gate_sigmas: float, near_only: bool
-) -> _Matched:
-    """One-to-one matches under each T12; the variance grows with ``drift`` times the distance from ``centre2`` (s, 2).
-
-    It grows to four times what it is at the centre; landmarks further away are left out if ``near_only``, and else
-    matched with that much.
-    """
-    away = np.sum((two.xy - centre2[:, None]) ** 2, axis=2)
-    grown = drift**2 * away
-    most = (_MOST_GROWTH - 1) * (np.median(one.variance) + two.variance)
-    asked = np.flatnonzero(grown <= most) if near_only else np.arange(grown.size)
-    x, y = np.moveaxis(se2.transform(T12s[:, None], two.xy[None]), -1, 0)
-    place, i, squared = one.grid(two, gate_sigmas).within_reach(x.ravel()[asked], y.ravel()[asked])
-    mode, j = np.divmod(asked[place], len(two.xy))
-    variance = one.variance[i] + two.variance[j] + np.minimum(grown, most)[mode, j]
-    keep = (one.label[i] == two.label[j]) & (squared <= gate_sigmas**2 * variance)
-    mode, i, j, squared, variance = (values[keep] for values in (mode, i, j, squared, variance))
-    chosen = one_to_one(mode, i, j, squared)
-    return _Matched(*(values[chosen] for values in (mode, i, j, squared, variance)))
-
-
-def _aligned(one: _Points, two: _Points, T12s: Array, m: _Matched) -> tuple[Array, Array]:
-    """Weighted closed-form alignment (`se2.align`) of all modes at once: T12s (s, 3), centres (s, 2) in frame 2.
-
-    Modes with less than two distinct matches stay as they are.
-    """
-    n = len(T12s)
-    weight = 1 / m.variance
-    total = np.bincount(m.mode, weight, n)
-    safe = np.where(total > 0, total, 1.0)
-    p1, p2 = one.xy[m.i], two.xy[m.j]
-    centre1, centre2 = (
-        np.stack([np.bincount(m.mode, weight * axis, n) / safe for axis in points.T], axis=1) for points in (p1, p2)
-    )
-    q1, q2 = p1 - centre1[m.mode], p2 - centre2[m.mode]
-    cross = np.bincount(m.mode, weight * (q2[:, 0] * q1[:, 1] - q2[:, 1] * q1[:, 0]), n)
-    dot = np.bincount(m.mode, weight * np.sum(q1 * q2, axis=1), n)
-    fixed = np.hypot(cross, dot) > 1e-9 * total
-    out = np.where(fixed[:, None], through(centre1, centre2, np.arctan2(cross, dot)), T12s)
-    centre2 = np.where(total[:, None] > 0, centre2, two.xy.mean(axis=0))
-    return out, centre2
-
-
-def _refined(
-    one: _Points, two: _Points, T12s: Array, anchors: Indices, drift: float, settings: PointPairConfig
-) -> tuple[Array, Indices, _Matched]:
-    """Assignment and alignment by turns, all modes at once: first around the anchors, where a coarse rotation does
-    no harm, then the distinct ones everywhere. Returns T12s (s, 3), which seed each was, and their matches."""
-    centre2 = two.xy[anchors[:, 1]]
-    for around in (_COARSE_ROTATION, _COARSE_ROTATION / 2):
-        matched = _match(one, two, T12s, centre2, max(around, drift), settings.gate_sigmas, near_only=True)
-        T12s, centre2 = _aligned(one, two, T12s, matched)
-    order = np.argsort(-np.round(_gains(one, two, len(T12s), matched), 9), kind="stable")
-    seed = order[distinct(T12s[order], two.xy, _sigma(one, two) / 2, settings.refined)]
-    T12s, centre2 = T12s[seed], centre2[seed]
-    for around in (max(_COARSE_ROTATION / 4, drift), drift):
-        matched = _match(one, two, T12s, centre2, around, settings.gate_sigmas, near_only=False)
-        T12s, centre2 = _aligned(one, two, T12s, matched)
-    return T12s, seed, _match(one, two, T12s, centre2, drift, settings.gate_sigmas, near_only=False)
-
-
-def _sigma(one: _Points, two: _Points) -> float:
-    """Typical standard deviation [m] per axis of the residual of a match."""
-    return float(np.sqrt(np.median(one.variance) + np.median(two.variance)))
-
-
-def _gains(one: _Points, two: _Points, n: int, m: _Matched) -> Array:
-    """What the matches of n modes say [nats] (n,): see `_scores`."""
-    count = np.bincount(m.mode, minlength=n)
-    normalised = np.bincount(m.mode, m.squared / m.variance, n)
-    factor = np.minimum((normalised / 2 + _NOISE_PRIOR) / (count + _NOISE_PRIOR), 1.0)
-    density = np.sqrt(one.density[m.i] * two.density[m.j])
-    recorded = np.sqrt(one.recorded[m.i] * two.recorded[m.j])
-    gain = np.bincount(m.mode, np.log(recorded / (2 * np.pi * m.variance * density)), n)
-    gain -= count * np.log(factor) + normalised / (2 * factor)
-    return np.asarray(gain - _NOISE_PRIOR * (np.log(factor) + 1 / factor - 1))
-
-
-def _scores(one: _Points, two: _Points, T12s: Array, m: _Matched) -> Array:
-    """Log likelihood ratio [nats] (s,) of each mode against "the maps show different places", but for a constant.
-
-    Every match: density of its residual against that of landmarks of its label, times the rate at which both robots
-    record a place. Every landmark where the other robot is likely to have looked: the failure to record it, if it
-    has no match, and for its share of the area the void on which both robots agree. The noise may be smaller than
-    stated: one factor f <= 1 on the variance, at the maximum of its posterior under an inverse gamma prior of weight
-    `_NOISE_PRIOR` matches around f = 1.
-    """
-    gain = _gains(one, two, len(T12s), m)
-    tree1, tree2 = KDTree(one.xy), KDTree(two.xy)
-    for here, there, tree, poses, mine in (
-        (two, one, tree1, T12s, m.j),
-        (one, two, tree2, se2.inverse(T12s), m.i),
-    ):
-        distance, nearest = tree.query(se2.transform(poses[:, None], here.xy[None]))
-        looked_at = distance <= there.reach[nearest]
-        matched = np.zeros_like(looked_at)
-        matched[m.mode, mine] = True
-        rate = _COVERAGE * np.median(there.recorded)
-        gain += np.sum(looked_at, axis=1) * rate / 2 + np.sum(looked_at & ~matched, axis=1) * np.log(1 - rate)
-    return gain
-
-
-def _ranked(
-    map1: LandmarkMap,
-    map2: LandmarkMap,
-    one: _Points,
-    two: _Points,
-    seeds: tuple[Array, Indices],
-    drift: float,
-    config: MatchingConfig,
-    settings: PointPairConfig,
-) -> list[Hypothesis]:
-    """Refined seeds as distinct hypotheses, best first."""
-    T12s, seed_of_mode, matched = _refined(one, two, *seeds, drift, settings)
-    score = _scores(one, two, T12s, matched)
-    count = np.bincount(matched.mode, minlength=len(T12s))
+        return None
+    kernel = kernels("_point_kernels")
+    widest = float(one.variance.max() + two.variance.max() + 1.5 * problem.bend**2)
+    grid = one.grid(settings.gate_sigmas * float(np.sqrt(max(widest, 4 * problem.variance))))
+    cells = (grid.start, grid.members, grid.box, grid.shape)
+    side1 = (one.xy, one.variance, problem.label1, problem.rarity1)
+    side2 = (two.xy, two.variance, problem.label2, problem.rarity2)
+    # Refined around the anchor, where a coarse rotation does no harm.
+    around = max(_COARSE_ROTATION, problem.drift)
+    gate = settings.gate_sigmas
+    gain = kernel.refine_near(T12s, anchors[:, 1].copy(), *side1, *side2, two.near, _NEAR, *cells, around, gate)
+    order = np.argsort(-np.round(gain, 9), kind="stable")
+    order = order[gain[order] > -1e8]
+    n_grown = max(settings.least_grown, settings.grown // len(two))
+    seed = order[_distinct(T12s[order], two, problem.sigma / 2, n_grown)]
+    T12s, anchors = np.ascontiguousarray(T12s[seed]), anchors[seed]
+    partner, gain, normalised, freedom = kernel.grow(
+        T12s, anchors[:, 1].copy(), *side1, *side2, two.near, two.length, _NEAR, *cells,
+        problem.bend, problem.scale, around / 4, gate, problem.variance, _ROUNDS, _LEAST_GAIN,
+    )  # fmt: skip
+    score = _scores(problem, T12s, partner, gain, normalised) + freedom
+    count = np.sum(partner >= 0, axis=1)
     order = np.argsort(-np.round(score, 9), kind="stable")
     order = order[count[order] >= 2]
-    kept = order[distinct(T12s[order], two.xy, 2 * _sigma(one, two), config.max_hypotheses)]
+    kept = order[_distinct(T12s[order], two, 2 * problem.sigma, config.max_hypotheses)]
+    return _Modes(T12s[kept], partner[kept], score[kept], anchors[kept])
+
+
+def _distinct(T12s: Array, two: PointArrays, tolerance_m: float, limit: int) -> Indices:
+    """The same as `modes.distinct`, compiled."""
+    x, y = two.xy.mean(axis=0).tolist()
+    spread = float(np.mean((two.xy - (x, y)) ** 2) * 2)
+    kept: Indices = kernels("_point_kernels").distinct(T12s, x, y, spread, tolerance_m**2, limit)
+    return kept
+
+
+def _peaks(problem: _Problem, settings: PointPairConfig) -> tuple[Array, Indices]:
+    """The T12s (s, 3) that most pairs of pairs speak for, strongest first, and the (s, 2) places of their anchors."""
+    one, two = problem.one, problem.two
+    asked = _anchors(problem, settings.anchors)
+    n_seeds = int(settings.seeds * np.sqrt(max(1.0, len(two) / 100)))
+    far = min(settings.far, int(np.sqrt(_FAR_PAIRS / max(len(asked) * len(one), 1))))
+    # Near neighbours find maps that overlap in a corner, far ones find maps that have few landmarks in common.
+    scales = [(settings.near, n_seeds), (far, n_seeds // 2)] if far > settings.near else [(settings.near, n_seeds)]
+    found = [_strongest(problem, settings, asked, neighbours, n) for neighbours, n in scales]
+    T12s, anchors = (np.concatenate(values) for values in zip(*found, strict=True))
+    return T12s, anchors
+
+
+def _strongest(
+    problem: _Problem, settings: PointPairConfig, asked: Indices, neighbours: int, n_seeds: int
+) -> tuple[Array, Indices]:
+    """The ``n_seeds`` strongest T12s by the votes of so many neighbours of each, and their anchors."""
+    one, two = problem.one, problem.two
+    sigma = np.sqrt(2) * problem.sigma  # of the difference of two distances
+    tolerance = settings.distance_sigmas * np.hypot(sigma, problem.drift * two.length)
+    listed1 = (one.length, one.angle, problem.label1[one.near])
+    listed2 = (two.length, two.angle, problem.label2[two.near], tolerance)
+    length1, angle1, near_label1 = (np.ascontiguousarray(values[:, :neighbours]) for values in listed1)
+    length2, angle2, near_label2, within = (np.ascontiguousarray(values[:, :neighbours]) for values in listed2)
+    strength, turn = kernels("_point_kernels").vote(
+        length1, angle1, near_label1, problem.label1, length2, angle2, near_label2, problem.label2, within,
+        settings.distance_sigmas * sigma, asked,
+    )  # fmt: skip
+    flat = strength.reshape(-1)
+    least = np.partition(flat, len(flat) - n_seeds)[len(flat) - n_seeds] if len(flat) > n_seeds else 0.0
+    place = np.flatnonzero(flat >= max(least, 0.0))
+    place = place[np.argsort(-flat[place], kind="stable")][:n_seeds]
+    a, i = np.divmod(place, len(one))
+    rotation = se2.wrap(turn.reshape(-1)[place] + one.direction[i] - two.direction[asked[a]])
+    return through(one.xy[i], two.xy[asked[a]], rotation), np.stack([i, asked[a]], axis=1)
+
+
+def _anchors(problem: _Problem, budget: int) -> Indices:
+    """Places of map 2's landmarks that ask all of map 1 with their label: all, or so many that the budget allows.
+
+    Those of rare labels first, whole labels at a time; within the label that doesn't fit whole, evenly by density: a
+    choice in which neither the order of the landmarks nor the frame has a say.
+    """
+    n_labels = 1 + int(max(problem.label1.max(), problem.label2.max()))
+    of_label1 = np.bincount(problem.label1, minlength=n_labels)
+    asked = np.flatnonzero(of_label1[problem.label2] > 0)
+    cost = of_label1[problem.label2[asked]]
+    if cost.sum() <= budget:
+        return asked
+    chosen: list[Indices] = []
+    for label in np.argsort(of_label1 * np.bincount(problem.label2, minlength=n_labels), kind="stable").tolist():
+        members = asked[problem.label2[asked] == label]
+        if not len(members):
+            continue
+        affordable = budget // max(int(of_label1[label]), 1)
+        if affordable < len(members):
+            affordable = max(affordable, 0 if chosen else _FEWEST_ANCHORS)
+            by_density = members[np.argsort(problem.two.density[members], kind="stable")]
+            even = np.linspace(0, len(members) - 1, min(affordable, len(members))).astype(np.intp)
+            chosen.append(by_density[even])
+            break
+        chosen.append(members)
+        budget -= len(members) * int(of_label1[label])
+    return np.sort(np.concatenate(chosen)) if chosen else asked[:0]
+
+
+def _scores(problem: _Problem, T12s: Array, partner: NDArray[np.int32], gain: Array, normalised: Array) -> Array:
+    """Log likelihood ratio [nats] (s,) of each mode against "the maps show different places", but for a constant.
+
+    Every match: density of its residual under the bend that its neighbours predict against that of landmarks of its
+    label, times the rate at which both robots record a place. Every landmark where the other robot is likely to have
+    looked: the failure to record it, if it has no match, and for its share of the area the void on which both robots
+    agree. The noise may be smaller than stated: one factor f <= 1 on the variance, at the maximum of its posterior
+    under an inverse gamma prior of weight `_NOISE_PRIOR` matches around f = 1.
+    """
+    one, two = problem.one, problem.two
+    kernel = kernels("_point_kernels")
+    count = np.sum(partner >= 0, axis=1)
+    factor = np.minimum((normalised / 2 + _NOISE_PRIOR) / (count + _NOISE_PRIOR), 1.0)
+    score = gain - count * np.log(factor) - normalised / (2 * factor)
+    score -= _NOISE_PRIOR * (np.log(factor) + 1 / factor - 1)
+    matched1 = np.zeros((len(T12s), len(one)), dtype=bool)
+    mode, j = np.nonzero(partner >= 0)
+    matched1[mode, partner[mode, j]] = True
+    for here, there, poses, matched in (
+        (two, one, T12s, partner >= 0),
+        (one, two, se2.inverse(T12s), matched1),
+    ):
+        grid = there.reach_grid
+        at = np.ascontiguousarray(np.moveaxis(se2.transform(poses[:, None], here.xy[None]), -1, 0)).reshape(2, -1)
+        seen = kernel.looked_at(
+            at[0], at[1], there.xy, there.reach, grid.start, grid.members, grid.box, grid.shape
+        ).reshape(matched.shape)
+        rate = _COVERAGE * float(np.median(there.recorded))
+        score += np.sum(seen, axis=1) * rate / 2 + np.sum(seen & ~matched, axis=1) * np.log(1 - rate)
+    return np.asarray(score)
+
+
+def _hypotheses(
+    map1: LandmarkMap, map2: LandmarkMap, problem: _Problem, modes: _Modes, swapped: bool
+) -> list[Hypothesis]:
+    """Modes in the maps' own order and terms."""
+    one, two, ids1, ids2 = problem.one.order, problem.two.order, map1.ids, map2.ids
+    T12s = se2.inverse(modes.T12s) if swapped else modes.T12s
     out = []
-    for k in kept:
-        mine = np.flatnonzero(matched.mode == k)
-        mine = mine[np.argsort(matched.i[mine])]
-        pairs = tuple((map1.ids[i], map2.ids[j]) for i, j in zip(matched.i[mine], matched.j[mine], strict=True))
-        i, j = seeds[1][seed_of_mode[k]]
-        seed = (map1.ids[i], map2.ids[j])
-        out.append(Hypothesis(Transform(*T12s[k].tolist()), len(pairs), pairs, (seed,), float(score[k])))
+    for T12, found, score, (i0, j0) in zip(T12s, modes.partner, modes.score.tolist(), modes.anchors, strict=True):
+        j = np.flatnonzero(found >= 0)
+        index1, index2 = one[found[j]], two[j]
+        seed1, seed2 = int(one[i0]), int(two[j0])
+        if swapped:
+            index1, index2, seed1, seed2 = index2, index1, seed2, seed1
+        partner = np.full(len(ids2), -1, dtype=np.int32)
+        partner[index2] = index1
+        pairs = Correspondences(ids1, ids2, partner, len(j))
+        out.append(Hypothesis(Transform(*T12.tolist()), len(j), pairs, ((ids1[seed1], ids2[seed2]),), score))
     return out

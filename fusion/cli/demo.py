@@ -71,6 +71,7 @@ def demo(
     except OSError as error:
         raise UsageError(f"-o {output}: {error.strerror or error}") from error
     logging.getLogger("mapfuse").setLevel(logging.ERROR)  # what is odd in these maps is known and meant
+    logging.getLogger("mapfuse.matching").setLevel(logging.WARNING)  # that the first run compiles isn't
     for case in CASES:
         _run(case, output)
     say(f"Pictures, results and maps are in {output}")

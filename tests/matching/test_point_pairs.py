@@ -239,5 +239,5 @@ def test_thousand_landmarks_take_bounded_memory():
 
 
 def test_parameters_must_be_positive():
-    with pytest.raises(ConfigError, match=r"point_pairs\.votes is 0"):
-        PointPairConfig(votes=0)
+    with pytest.raises(ConfigError, match=r"point_pairs\.seeds is 0"):
+        PointPairConfig(seeds=0)

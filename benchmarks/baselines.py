@@ -1,0 +1,185 @@
+"""Other matchers, to measure beside ours on the same pairs: paper mode, Open3D's RANSAC on features, KISS-Matcher.
+
+The latter two are optional (``pip install open3d kiss-matcher``) and skipped with a reason where they can't be
+imported. Give them an environment of their own: they bring along a pytest plugin that our tests refuse. Neither knows
+landmarks: both get each landmark's place, lifted to 3-D, and a descriptor of ours that tells who its neighbours are.
+The descriptor is worked out once per map and not timed, as our own matcher's arrays aren't.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.arms import heading_of
+from mapfuse.datasets.errors import TooLargeError
+from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.matching.config import MatchingConfig
+from mapfuse.matching.exhaustive import match_exhaustively
+
+Array = NDArray[np.float64]
+
+_RINGS, _SECTORS = 8, 8
+#: Neighbours looked at, and how many rival partners a landmark may have.
+_NEIGHBOURS, _PARTNERS = 24, 3
+#: Labels that the descriptor tells apart.
+_LABELS = 6
+_PAPER_TRIALS = 30_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a matcher says: the T12 (3,), or None; how long it took [s]; why there is none."""
+
+    T12: Array | None
+    seconds: float
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """A matcher by name. ``missing``: why it can't run here, or an empty string; ``run`` matches two maps."""
+
+    name: str
+    missing: str
+    run: Callable[[LandmarkMap, LandmarkMap, float], Answer]
+
+
+def baselines() -> Sequence[Baseline]:
+    """All of them; those that aren't installed say so."""
+    return (
+        Baseline("paper mode", "", _paper),
+        Baseline("Open3D RANSAC", _missing("open3d"), _open3d),
+        Baseline("KISS-Matcher", _missing("kiss_matcher"), _kiss),
+    )
+
+
+def _missing(module: str) -> str:
+    try:
+        __import__(module)
+    except ImportError as error:
+        return f"not importable: {error}"
+    return ""
+
+
+def descriptor(recorded: LandmarkMap, labels: Sequence[str], ring_m: float) -> Array:
+    """Who is around each landmark, (n, d): neighbours by label, distance, and direction from its heading.
+
+    Without heading, directions are left out. ``labels``: of both maps together; ``ring_m`` [m]: width of a ring.
+    Smoothed over neighbouring rings and sectors, so that noise changes it little.
+    """
+    xy, n = recorded.positions, len(recorded)
+    code = {label: k % _LABELS for k, label in enumerate(labels)}
+    label = np.array([code[t] for t in recorded.types])
+    headings = [heading_of(landmark) for landmark in recorded.landmarks]
+    heading = np.array([np.nan if h is None else h for h in headings])
+    length, near = KDTree(xy).query(xy, k=min(_NEIGHBOURS + 1, n))
+    length, near = length[:, 1:], near[:, 1:]
+    offset = xy[near] - xy[:, None]
+    direction = np.arctan2(offset[..., 1], offset[..., 0]) - np.nan_to_num(heading)[:, None]
+    rings = np.exp(-0.5 * (length[..., None] / ring_m - np.arange(_RINGS) - 0.5) ** 2)
+    sectors = np.exp(2 * (np.cos(direction[..., None] - np.arange(_SECTORS) * (2 * np.pi / _SECTORS)) - 1))
+    sectors[np.isnan(heading)] = 1 / _SECTORS
+    kinds = np.eye(_LABELS)[label[near]]
+    around = np.einsum("nkr,nks,nkl->nrsl", rings, sectors, kinds).reshape(n, -1)
+    around = np.sqrt(around / np.maximum(around.sum(axis=1, keepdims=True), 1e-9))
+    return np.ascontiguousarray(np.hstack([around, 2.0 * np.eye(_LABELS)[label]]))
+
+
+def _described(map1: LandmarkMap, map2: LandmarkMap) -> tuple[Array, Array]:
+    labels = sorted({*map1.types, *map2.types})
+    nearest = np.asarray(KDTree(map1.positions).query(map1.positions, k=[min(7, len(map1))])[0])
+    ring = max(float(np.median(nearest)) / 2, 1e-6)
+    return descriptor(map1, labels, ring), descriptor(map2, labels, ring)
+
+
+def _lifted(recorded: LandmarkMap) -> Array:
+    return np.column_stack([recorded.positions, np.zeros(len(recorded))])
+
+
+def _flat(rotation: Array, translation: Array, seconds: float) -> Answer:
+    """A motion in 3-D as T12; none where it turns the plane over."""
+    if rotation[2, 2] < 0 or not np.isfinite(rotation).all():
+        return Answer(None, seconds, "turned the map over")
+    theta = np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
+    return Answer(np.array([translation[0], translation[1], float(se2.wrap(theta))]), seconds)
+
+
+def _paper(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
+    if len(map1) * len(map2) ** 2 > _PAPER_TRIALS:
+        return Answer(None, 0.0, "would not finish")
+    begin = time.perf_counter()
+    try:
+        found = match_exhaustively(map1, map2, MatchingConfig(mode="paper", tolerance_m=tolerance_m)).hypotheses
+    except TooLargeError:
+        return Answer(None, 0.0, "would not finish")
+    seconds = time.perf_counter() - begin
+    return Answer(found[0].T12.array, seconds) if len(found) else Answer(None, seconds, "no proposals")
+
+
+def _open3d(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
+    import open3d
+
+    registration: Any = open3d.pipelines.registration
+    clouds, features = [], []
+    for recorded, described in zip((map2, map1), reversed(_described(map1, map2)), strict=True):
+        cloud = open3d.geometry.PointCloud()
+        cloud.points = open3d.utility.Vector3dVector(_lifted(recorded))
+        feature = registration.Feature()
+        feature.data = described.T
+        clouds.append(cloud)
+        features.append(feature)
+    open3d.utility.random.seed(0)
+    begin = time.perf_counter()
+    found: Any = registration.registration_ransac_based_on_feature_matching(
+        *clouds,
+        *features,
+        False,
+        tolerance_m,
+        registration.TransformationEstimationPointToPoint(False),
+        3,
+        [
+            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            registration.CorrespondenceCheckerBasedOnDistance(tolerance_m),
+        ],
+        registration.RANSACConvergenceCriteria(100_000, 0.999),
+    )
+    seconds = time.perf_counter() - begin
+    motion = np.asarray(found.transformation)
+    return _flat(motion[:3, :3], motion[:3, 3], seconds)
+
+
+def _kiss(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
+    import kiss_matcher
+
+    described1, described2 = _described(map1, map2)
+    begin = time.perf_counter()
+    place1 = _mutual(described1, described2)
+    if len(place1[0]) < 3:
+        return Answer(None, time.perf_counter() - begin, "too few partners")
+    settings = kiss_matcher.KISSMatcherConfig(voxel_size=tolerance_m, use_quatro=True)
+    matcher = kiss_matcher.KISSMatcher(settings)
+    source = np.asfortranarray(_lifted(map2)[place1[1]].T)
+    target = np.asfortranarray(_lifted(map1)[place1[0]].T)
+    found = matcher.prune_and_solve(list(source.T.astype(np.float32)), list(target.T.astype(np.float32)))
+    seconds = time.perf_counter() - begin
+    if not found.valid:
+        return Answer(None, seconds, "says that it is not valid")
+    return _flat(np.asarray(found.rotation, dtype=float), np.asarray(found.translation, dtype=float), seconds)
+
+
+def _mutual(described1: Array, described2: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Landmarks that are among each other's most alike ones: places in map 1 and in map 2."""
+    k = min(_PARTNERS, len(described1), len(described2))
+    of2 = np.asarray(KDTree(described1).query(described2, k=k)[1]).reshape(len(described2), k)
+    of1 = np.asarray(KDTree(described2).query(described1, k=k)[1]).reshape(len(described1), k)
+    forward = {(int(i), j) for j, row in enumerate(of2) for i in row}
+    both = sorted(forward & {(i, int(j)) for i, row in enumerate(of1) for j in row})
+    return np.array([i for i, _ in both], dtype=np.intp), np.array([j for _, j in both], dtype=np.intp)

@@ -1,0 +1,501 @@
+"""Hypotheses of T12 from landmarks with headings, by votes in SE(2); fast for any number of landmarks.
+
+1. *Turns*: two landmarks of one label propose the rotations that lay arms on arms. A histogram of all of them over the
+   circle has peaks, the *rotation modes*: four in a right-angled building, others in others.
+2. *Votes*: for each mode every pair that proposes it votes for its translation, in a grid of counters. In large maps
+   some hundreds of map 2's landmarks do. Small maps need no vote: each pair is a candidate.
+3. *Refinement*: the strongest peaks are matched one to one, aligned, and matched again.
+4. *Score*: log likelihood ratio against "these maps show different places": what matches, what doesn't although the
+   other robot passed it, and the emptiness that both agree on (docs/matching.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.maps import DOOR, LandmarkMap
+from mapfuse.datasets.transform import Transform
+
+from .compiled import kernels
+from .config import MatchingConfig
+from .hypothesis import Correspondences, Hypothesis
+from .landmark_arrays import LandmarkArrays, frozen, landmark_arrays, shared_labels
+from .travelled import Travelled
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Constants of the search; bounds of its work first.
+
+    ``direct``: up to so many proposals are all tried without a vote. ``votes``: cast at most, by ``voters`` landmarks
+    of map 2 at least. ``cells``: of the grid of counters, 40 a landmark
+    between these bounds. ``peaks``: of each rotation mode; ``modes``: at most.
+    ``glance``: landmarks of map 2 by which all candidates are compared, ``refined``: how many of them remain.
+    ``sample``: landmarks by which these are refined where a map has more than ``full`` of them; ``ways``: how many
+    places a robot's ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the order of place.
+    ``cell_m`` [m]: of the grid. ``rotation_width`` [rad]: of a mode. ``looseness`` [rad]: by how much a candidate's
+    rotation may be off. ``gate``: standard deviations. ``arm``, ``contradiction`` [nats]: for each arm that meets one
+    of the same or of the other passability. ``least_gain`` [nats]: of a match. To measure what they are worth:
+    ``against``: charge misses and credit the void; ``grow``: tolerance with distance; ``refine``: align.
+    """
+
+    direct: int = 2048
+    votes: int = 1_500_000
+    voters: int = 200
+    cells: tuple[int, int] = (100_000, 2_000_000)
+    peaks: int = 48
+    modes: int = 32
+    glance: int = 64
+    refined: int = 80
+    sample: int = 300
+    full: int = 400
+    ways: int = 1500
+    sorted: int = 2000
+    cell_m: float = 1.5
+    rotation_width: float = 0.12
+    looseness: float = 0.04
+    gate: float = 3.0
+    most_sigma_m: float = 1.5
+    arm: float = 0.3
+    contradiction: float = 2.5
+    least_gain: float = -1.0
+    against: bool = True
+    grow: bool = True
+    refine: bool = True
+
+
+SETTINGS = Settings()
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """T12s (k, 3) and where in frame 2 each is known best (k, 2)."""
+
+    T12s: Array
+    centres: Array
+
+    def __len__(self) -> int:
+        return len(self.T12s)
+
+    def taken(self, places: Indices) -> Candidates:
+        """Some of them."""
+        return Candidates(self.T12s[places], self.centres[places])
+
+
+@dataclass(frozen=True, eq=False)
+class Assessed:
+    """Candidates matched and scored: ``score`` (k,) [nats], ``count`` (k,), ``partner`` (k, n2) in map 1 or -1,
+    ``seed`` (k,): landmark of map 2 with the surest match, or -1."""
+
+    candidates: Candidates
+    score: Array
+    count: NDArray[np.int32]
+    partner: NDArray[np.int32]
+    seed: NDArray[np.int32]
+
+
+def propose_by_votes(
+    map1: LandmarkMap,
+    map2: LandmarkMap,
+    config: MatchingConfig | None = None,
+    also: Sequence[Transform] = (),
+    settings: Settings = SETTINGS,
+) -> list[Hypothesis]:
+    """Distinct hypotheses from the landmarks that have headings, best first, at most ``max_hypotheses``.
+
+    ``also``: T12s from elsewhere, to be refined and ranked with the others. All landmarks count in the score, those
+    without heading too. Empty where no turn lays a landmark on another and there is nothing else.
+    """
+    config = config or MatchingConfig()
+    one, two = landmark_arrays(map1), landmark_arrays(map2)
+    if not len(one) or not len(two):
+        return []
+    pair = Pair(one, two, config, settings)
+    candidates = pair.proposals()
+    if also:
+        T12s = np.array([T12.array for T12 in also])
+        centres = np.broadcast_to(two.xy.mean(axis=0), (len(also), 2))
+        candidates = Candidates(np.concatenate([candidates.T12s, T12s]), np.concatenate([candidates.centres, centres]))
+    if not len(candidates):
+        return []
+    return pair.hypotheses(map1, map2, pair.ranked(candidates))
+
+
+def assessed(
+    map1: LandmarkMap, map2: LandmarkMap, T12: Transform, config: MatchingConfig
+) -> tuple[Transform, float, int]:
+    """A T12 refined and scored as if it had been proposed: T12, score [nats], number of matches.
+
+    Both maps have landmarks.
+    """
+    pair = Pair(landmark_arrays(map1), landmark_arrays(map2), config)
+    found = pair.refined(Candidates(T12.array[None], pair.two.xy.mean(axis=0)[None]))
+    return Transform(*found.candidates.T12s[0].tolist()), float(found.score[0]), int(found.count[0])
+
+
+class Pair:
+    """Two maps' arrays side by side, and the kernels run on them."""
+
+    def __init__(
+        self, one: LandmarkArrays, two: LandmarkArrays, config: MatchingConfig, settings: Settings = SETTINGS
+    ) -> None:
+        self.one, self.two, self.config, self.settings = one, two, config, settings
+        self.kernels: ModuleType = kernels()
+        label1, label2, _ = shared_labels(one, two)
+        if not config.use_h1:
+            label1, label2 = np.zeros_like(label1), np.zeros_like(label2)
+        self.label1, self.label2 = label1, label2
+
+    # proposals
+
+    def proposals(self) -> Candidates:
+        """Where T12 may be: every pair's turns in small maps, peaks of the vote in large ones."""
+        k, p1, p2 = self.kernels, self.one.patterns, self.two.patterns
+        if not len(p1.members) or not len(p2.members):
+            return Candidates(np.zeros((0, 3)), np.zeros((0, 2)))
+        own1, own2 = self.label1[p1.members[p1.start[:-1]]], self.label2[p2.members[p2.start[:-1]]]
+        count, offset = k.turns_of_patterns(p1.arms, p1.open, own1, p2.arms, p2.open, own2)
+        pattern2 = p2.pattern[p2.members]
+        cast = k.votes_of_patterns(p1.start, count)[pattern2]
+        total = int(cast.sum())
+        if total <= self.settings.direct:
+            T12s, pair = k.all_turns(
+                p1.members, p1.start, p1.heading, p2.members, pattern2, p2.heading, count, offset,
+                self.one.xy, self.two.xy, total,
+            )  # fmt: skip
+            return Candidates(T12s, self.two.xy[pair[:, 1]])
+        voters = self._voters(cast)
+        members = p2.members[voters]
+        pattern2, heading2 = pattern2[voters], p2.heading[voters]
+        xy1, xy2 = self.one.xy[p1.members], self.two.xy[members]
+        votes = k.rotations(p1.start, p1.heading, pattern2, heading2, count, offset)
+        modes = rotation_modes(votes, self.settings.rotation_width, self.settings.modes)
+        size, shape = self._grid(xy1, xy2)
+
+        def vote(theta: float) -> tuple[Array, Array, Array]:
+            grid = np.zeros(shape, dtype=np.uint16)
+            found: tuple[Array, Array, Array] = k.vote(
+                p1.start, p1.heading, xy1, pattern2, heading2, xy2, count, offset,
+                theta, self.settings.rotation_width, size, grid, self.settings.peaks,
+            )  # fmt: skip
+            return found
+
+        T12s, centres, strength = (np.concatenate(part) for part in zip(*self.each(vote, modes), strict=True))
+        strongest = np.argsort(-strength, kind="stable")[: 6 * self.settings.peaks]
+        return Candidates(T12s[strongest], centres[strongest])
+
+    def _voters(self, cast: NDArray[np.int64]) -> Indices:
+        """Places among map 2's members of those who vote: all, or those with the fewest votes to cast first.
+
+        Few votes mean a rare kind, whose votes say most. At least ``voters`` are heard, evenly spread over the kinds.
+        """
+        able = np.flatnonzero(cast > 0)
+        if cast.sum() <= self.settings.votes:
+            return able
+        place = np.empty(len(self.two), dtype=np.intp)
+        place[self.two.by_isolation] = np.arange(len(self.two))
+        lonely = place[self.two.patterns.members[able]]
+        order = np.lexsort((lonely, cast[able]))
+        within = int(np.searchsorted(np.cumsum(cast[able][order]), self.settings.votes / 2))
+        rare = order[: max(within, 1)][: self.settings.voters]
+        others = np.argsort(lonely)[np.linspace(0, len(lonely) - 1, self.settings.voters).astype(np.intp)]
+        chosen = np.unique(np.concatenate([rare, others]))
+        return np.asarray(able[chosen])
+
+    def _grid(self, xy1: Array, xy2: Array) -> tuple[float, tuple[int, int]]:
+        """Size [m] of the cells of the counters, and how many there are along each axis."""
+        diagonal2 = float(np.hypot(*np.ptp(xy2, axis=0)))
+        extent = np.ptp(xy1, axis=0) + diagonal2
+        cells = float(np.clip(40 * len(xy1), *self.settings.cells))
+        size = self.settings.cell_m
+        wanted = extent / size + 3
+        shrink = max(1.0, float(np.sqrt(np.prod(wanted) / cells)))
+        # larger cells up to a point; then the plane is folded
+        size *= min(shrink, 2.0)
+        side = int(np.sqrt(cells))
+        wide, high = (float(e) / size + 3 for e in extent)
+        nx, ny = int(min(wide, cells / min(side, high))), int(min(high, cells / min(side, wide)))
+        return size, (max(nx, 3), max(ny, 3))
+
+    def each(self, run: Callable[[Any], Any], jobs: Sequence[Any]) -> list[Any]:
+        """Results of all jobs in order, on as many threads as the configuration says."""
+        if self.config.threads <= 1 or len(jobs) <= 1:
+            return [run(job) for job in jobs]
+        with ThreadPoolExecutor(self.config.threads) as pool:
+            return list(pool.map(run, jobs))
+
+    # refinement and score
+
+    def ranked(self, candidates: Candidates) -> Assessed:
+        """Candidates refined, scored, distinct, best first.
+
+        Large maps: compared by ever more of map 2's landmarks, ever fewer of them.
+        """
+        settings, scene = self.settings, _Scene(self)
+        loose = settings.looseness
+        if len(candidates) > 3 * settings.refined // 2:
+            part = scene.part(settings.glance)
+            rough = scene.assess(candidates, (loose,), part)
+            candidates = self._best(rough, settings.refined)
+        n, cost = len(self.two), scene.cost
+        if cost > settings.full:
+            part = scene.part(settings.sample)
+            limit = int(np.clip(settings.refined * settings.full / cost, 16, settings.refined))
+            candidates = self._best(scene.assess(candidates, (loose, loose / 3, 0.0), part), limit)
+            found = scene.assess(candidates, (0.0,) if n > settings.sorted else (0.0, 0.0))
+        else:
+            found = scene.assess(candidates, (loose, loose / 3, 0.0))
+        score = found.score + self._compass(found.candidates.T12s[:, 2])
+        order = _best_first(score, found.candidates.T12s)
+        order = order[found.count[order] > 0]
+        kept = order[self._distinct(found.candidates.taken(order), self.config.tolerance_m, self.config.max_hypotheses)]
+        partner, seed = scene.in_map_order(found.partner[kept], found.seed[kept])
+        return Assessed(found.candidates.taken(kept), score[kept], found.count[kept], partner, seed)
+
+    def refined(self, candidates: Candidates) -> Assessed:
+        """Candidates refined and scored, all of them, in their order."""
+        loose = self.settings.looseness
+        found = _Scene(self).assess(candidates, (loose, loose / 3, 0.0))
+        return replace(found, score=found.score + self._compass(found.candidates.T12s[:, 2]))
+
+    def _best(self, found: Assessed, limit: int) -> Candidates:
+        """The distinct ones of the best candidates."""
+        score = found.score + self._compass(found.candidates.T12s[:, 2])
+        ordered = found.candidates.taken(_best_first(score, found.candidates.T12s))
+        return ordered.taken(self._distinct(ordered, self.config.tolerance_m / 2, limit))
+
+    def _distinct(self, candidates: Candidates, tolerance_m: float, limit: int) -> Indices:
+        mean = self.two.xy.mean(axis=0)
+        # turns of a map of one landmark are distinct, too
+        spread = max(float(np.mean(np.sum((self.two.xy - mean) ** 2, axis=1))), 4.0)
+        kept: Indices = self.kernels.first_of_each(candidates.T12s, mean, spread, tolerance_m, limit)
+        return kept
+
+    def _compass(self, theta: Array) -> Array:
+        """Log likelihood ratio [nats] of rotations by the compasses: mostly right, now and then bent by steel."""
+        one, two = self.one, self.two
+        if not self.config.use_compass or np.isnan(one.north) or np.isnan(two.north):
+            return np.zeros(len(theta))
+        sigma = np.hypot(one.north_sigma, two.north_sigma)
+        off = se2.wrap(theta - (one.north - two.north))
+        density = np.exp(-0.5 * (off / sigma) ** 2) * np.sqrt(2 * np.pi) / sigma
+        return np.asarray(np.log(0.8 * density + 0.2))
+
+    def hypotheses(self, map1: LandmarkMap, map2: LandmarkMap, found: Assessed) -> list[Hypothesis]:
+        """As values."""
+        ids1, ids2 = map1.ids, map2.ids
+        columns = (found.candidates.T12s, found.score, found.count, found.seed)
+        return [
+            Hypothesis(
+                Transform(*T12),
+                count,
+                Correspondences(ids1, ids2, partner, count),
+                ((ids1[partner[j]], ids2[j]),),
+                score,
+            )
+            for T12, score, count, j, partner in zip(*(c.tolist() for c in columns), found.partner, strict=True)
+        ]
+
+
+def rotation_modes(votes: Array, width: float, limit: int) -> list[float]:
+    """Peaks [rad] of a histogram over the circle, strongest first, until nearly all votes are within ``width`` of one.
+
+    >>> votes = np.zeros(360)
+    >>> votes[[9, 10, 100]] = 50, 50, 20
+    >>> np.rad2deg(rotation_modes(votes, np.deg2rad(5.0), 9)).round(1).tolist()
+    [10.0, 100.5]
+    """
+    n = len(votes)
+    step = 2 * np.pi / n
+    reach = max(1, round(width / step))
+    left, modes = votes.astype(float), list[float]()
+    enough = 0.02 * votes.sum()
+    around = np.arange(-reach, reach + 1)
+    near = (np.arange(n)[:, None] + around) % n
+    while len(modes) < limit:
+        within = left[near].sum(axis=1)
+        k = int(np.argmax(within))
+        strongest = within[k]
+        if strongest <= 0 or (modes and left.sum() <= enough):
+            break
+        plateau = float(np.mean((np.flatnonzero(within >= strongest * (1 - 1e-12)) - k + n // 2) % n - n // 2))
+        k = round(k + plateau) % n if abs(plateau) <= reach else k
+        weight = left[near[k]]
+        centre = k + 0.5 + (float(weight @ around / weight.sum()) if weight.sum() else 0.0)
+        modes.append(float(se2.wrap(centre * step)))
+        left[near[k]] = 0.0
+    return modes
+
+
+def _best_first(score: Array, T12s: Array) -> Indices:
+    """Order by score, then by rotation and place, that equal ones have an order whatever the last bits say."""
+    return np.lexsort((*np.round(T12s.T, 6), -np.round(score, 9)))
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some of map 2's landmarks, and some of the places where its robot was."""
+
+    side: Any
+    seen: Any
+
+
+class _Scene:
+    """Both maps as the kernels want them: what a match is worth, what a miss costs, and where the robots were."""
+
+    def __init__(self, pair: Pair) -> None:
+        one, two, settings = pair.one, pair.two, pair.settings
+        self.pair = pair
+        k = pair.kernels
+        way1, way2 = one.travelled, two.travelled
+        self.linear = way1.has_links and way2.has_links
+        rate1, rate2 = _rates(one, way1, self.linear), _rates(two, way2, self.linear)
+        self.side1 = self._side(one, pair.label1, rate1, two)
+        self.side2 = self._side(two, pair.label2, rate2, one)
+        self.by_isolation2 = two.by_isolation
+        # neighbours in space are neighbours in memory
+        self.sorted = max(len(one), len(two)) > settings.sorted
+        if self.sorted:
+            self.side1 = type(self.side1)(*(frozen(values[one.by_place]) for values in self.side1))
+            self.side2 = type(self.side2)(*(frozen(values[two.by_place]) for values in self.side2))
+            now_at = np.empty(len(two), dtype=np.intp)
+            now_at[two.by_place] = np.arange(len(two))
+            self.by_isolation2 = now_at[two.by_isolation]
+        void = _void(one, two, rate1, rate2, self.linear) * settings.against
+        self.seen1, self.seen2 = (self._seen(way, void) for way in (way1, way2))
+        least = float(one.variance.max() + two.variance.max())
+        most = max(least, min(settings.most_sigma_m**2, 16 * least))
+        self.rules = k.Rules(
+            settings.gate,
+            (one.bend + two.bend) * settings.grow,
+            most,
+            settings.arm,
+            settings.contradiction,
+            settings.least_gain,
+            float(np.hypot(max(one.noise.heading_sigma, 1e-3), max(two.noise.heading_sigma, 1e-3))),
+        )
+        self.cells = _cells(k, self.side1.xy, self.side1.label, settings.gate * float(np.sqrt(most)))
+
+    @property
+    def cost(self) -> float:
+        """How many landmarks are looked at to assess one candidate once."""
+        crowd = len(self.cells.members) / max(1, int(np.count_nonzero(np.diff(self.cells.start))))
+        return len(self.pair.two) * max(1.0, min(crowd, 256.0) / 3) + len(self.pair.one) / 4
+
+    def _side(self, own: LandmarkArrays, label: NDArray[np.int32], rate: Array, other: LandmarkArrays) -> Any:
+        armed = own.arm_open[:, 0] >= 0
+        linear = armed & self.linear
+        seen_by_other = _by_label(own, other.noise.detection)
+        # off the corridors nobody knows where the other robot looked
+        charged = (linear | (not self.linear)) & self.pair.settings.against
+        miss = np.where(charged, np.log(1 - own.true * np.clip(seen_by_other, 0.01, 0.99)), 0.0)
+        worth = np.log(own.true) - np.log(rate[own.label]) / 2
+        return self.pair.kernels.Side(
+            own.xy, own.variance, frozen(label), own.heading, own.open_sectors, own.blocked_sectors,
+            own.near_open, own.near_blocked, frozen(worth), frozen(miss), frozen(linear.astype(np.uint8)),
+        )  # fmt: skip
+
+    def _seen(self, way: Travelled, void: float) -> Any:
+        step = way.step if self.linear else 2 * way.step * way.width if way.has_links else way.step**2
+        every = -(-len(way.samples) // self.pair.settings.ways) or 1
+        samples = way.samples if every == 1 else frozen(way.samples[::every])
+        x, y = way.low.tolist()
+        return self.pair.kernels.Seen(x, y, 1 / way.size, way.cells, samples, 0.5 * void * step * every)
+
+    def in_map_order(
+        self, partner: NDArray[np.int32], seed: NDArray[np.int32]
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Places in the maps of `Assessed.partner` and `Assessed.seed` that are in the scene's order."""
+        if not self.sorted:
+            return partner, seed
+        order1, order2 = self.pair.one.by_place, self.pair.two.by_place
+        out = np.empty_like(partner)
+        out[:, order2] = np.where(partner >= 0, order1[partner], -1)
+        return out, order2[seed].astype(np.int32)
+
+    def part(self, size: int) -> Part:
+        """``size`` of map 2's landmarks, evenly by how far each is from the next: wherever, in whatever order."""
+        n, ways = len(self.pair.two), self.seen2.samples
+        side, share = self.side2, min(1.0, size / n)
+        if n > size:
+            chosen = np.sort(self.by_isolation2[np.linspace(0, n - 1, size).astype(np.intp)])
+            side = type(side)(*(frozen(values[chosen]) for values in side))
+        every = max(1, len(ways) // size)
+        void = 2 * self.seen2.void * every * share
+        return Part(side, self.seen2._replace(samples=frozen(ways[::every]), void=void))
+
+    def assess(self, candidates: Candidates, looseness: tuple[float, ...], part: Part | None = None) -> Assessed:
+        """Candidates matched and aligned in turns, the last of which scores; see the kernel.
+
+        With a ``part`` of map 2 only what that lacks is charged, not what map 1 has more.
+        """
+        side2, seen2 = (self.side2, self.seen2) if part is None else (part.side, part.seen)
+
+        if not self.pair.settings.refine:
+            looseness = (0.0,)
+
+        def run(few: Candidates) -> Any:
+            return self.pair.kernels.assess(
+                few.T12s, few.centres, np.array(looseness), part is None,
+                self.side1, side2, self.cells, self.seen1, seen2, self.rules,
+            )  # fmt: skip
+
+        n_parts = max(1, min(self.pair.config.threads, len(candidates)))
+        jobs = [candidates.taken(c) for c in np.array_split(np.arange(len(candidates)), n_parts)]
+        T12s, centres, score, count, partner, seed = (
+            np.concatenate(column) if len(column) > 1 else column[0]
+            for column in zip(*self.pair.each(run, jobs), strict=True)
+        )
+        return Assessed(Candidates(T12s, centres), score, count, partner, seed)
+
+
+def _by_label(arrays: LandmarkArrays, rate: Callable[[str], float]) -> Array:
+    return np.array([rate(label) for label in arrays.labels])[arrays.label]
+
+
+def _rates(own: LandmarkArrays, way: Travelled, linear: bool) -> Array:
+    """True landmarks of each label per metre of corridor, or, for points and without links, per square metre."""
+    count = np.bincount(own.label, weights=own.true / own.detected, minlength=len(own.labels))
+    armed = np.bincount(own.label, weights=own.arm_open[:, 0] >= 0, minlength=len(own.labels)) > 0
+    box = float(np.prod(np.ptp(own.xy, axis=0) + 2.0))
+    area = way.length if not way.has_links else box
+    # closer than the noise landmarks can't be told apart, however many there are
+    most = 0.25 / (np.sqrt(2 * np.pi) * np.sqrt(2 * float(np.median(own.variance))))
+    along, within = count / max(way.length, 1.0), count / max(area, 1.0)
+    return np.asarray(np.where(armed & linear, np.minimum(along, most), np.minimum(within, 4 * most**2)))
+
+
+def _void(one: LandmarkArrays, two: LandmarkArrays, rate1: Array, rate2: Array, linear: bool) -> float:
+    """What a metre of corridor (or a square metre) says [nats] on which both have been."""
+    total = 0.0
+    for k1, label in enumerate(one.labels):
+        if label in two.labels:
+            k2 = two.labels.index(label)
+            armed = label in ("corner", "junction", DOOR)
+            if armed or not linear:
+                both = one.noise.detection(label) * two.noise.detection(label)
+                total += float(np.sqrt(rate1[k1] * rate2[k2])) * both
+    return total
+
+
+def _cells(k: ModuleType, xy: Array, label: NDArray[np.int32], size: float) -> Any:
+    """Points in cells that are at least as large as the widest gate; more than four million cells are never made."""
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    extent = high - low
+    size = max(size, 1e-6, float(extent.max()) / 4000, float(np.sqrt(extent.prod() / 4_000_000)))
+    low = low - 2 * size
+    nx, ny = (int(e / size) + 5 for e in extent.tolist())
+    layers = int(max(1, min(int(label.max()) + 1, 4_000_000 // (nx * ny))))
+    start, members = k.sorted_into_cells(xy, label, 1 / size, nx, ny, layers, float(low[0]), float(low[1]))
+    return k.Cells(float(low[0]), float(low[1]), 1 / size, nx, ny, layers, start, members)
