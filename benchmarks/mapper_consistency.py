@@ -1,0 +1,173 @@
+"""The mapper on simulated explorations with known truth: NEES, landmarks found once, loops, lengths over 50 m.
+
+    .venv/bin/python benchmarks/mapper_consistency.py --count 200 --write
+
+Explorations of irregular floors with loops, compasses bent by steel, systematic odometry errors
+(``docs/log-model.md``), associations not given; alternately both robots. NEES per degree of freedom: of all true
+landmarks jointly, and of the robot's last pose; a chi-square divided by its degrees. Then the loop of 80 m
+(`salvatori_like`) and the hospital floor. Seeds are `TEST_SEEDS`; ``--tuning`` takes `TUNING_SEEDS` instead.
+``--write`` keeps the table in ``benchmarks/results/mapper-consistency.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.mapper import Mapper, truth_of_map
+from mapfuse.datasets.simulation import (
+    MILKA,
+    VESPUCCI,
+    build,
+    hospital_like,
+    make_building,
+    salvatori_like,
+    simulate_log,
+)
+from mapfuse.datasets.simulation.pairs import TEST_SEEDS, TUNING_SEEDS
+
+HERE = Path(__file__).resolve().parent
+#: The paper's figure is over more than these metres.
+FAR = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One exploration: NEES per degree of freedom, true places detected and found once, rms and errors [m]."""
+
+    landmarks: float
+    pose: float
+    filter_pose: float
+    once: int
+    detected: int
+    rms: float
+    aligned: float
+    loop: float
+    length: float
+    seconds: float
+
+
+def explored(kind: str, seed: int) -> Score:
+    """A building of a kind explored and mapped."""
+    named = {"salvatori": salvatori_like, "hospital": hospital_like}
+    building = build(named[kind](), seed=seed) if kind in named else make_building(kind, seed)  # type: ignore[arg-type]
+    robot = (VESPUCCI, MILKA)[seed % 2]
+    simulated = simulate_log(building, robot, np.random.default_rng(seed), name=f"{kind}-{seed}", scans=False)
+    truth = simulated.truth
+    mapper = Mapper(simulated.header)
+    start = time.process_time()
+    for event in simulated.events:
+        mapper.update(event)
+    made = mapper.map(joint=True)
+    seconds = time.process_time() - start
+    of_map = truth_of_map(made, mapper.sources, truth)
+    places = of_map.landmarks[made.name]
+    counts = Counter(place for place in places.values() if place is not None)
+    detected = {place for place in truth.detections if place is not None}
+    known = [k for k, i in enumerate(made.ids) if places[i] is not None and counts[places[i]] == 1]
+    true = np.array([of_map.position(made.name, made.ids[k]) for k in known])
+    error = made.positions[known] - true
+    joint = made.joint_covariance
+    assert joint is not None
+    rows = (joint.rows * np.array(known)[:, None] + np.arange(2)).ravel()
+    P = joint.matrix[np.ix_(rows, rows)]
+    end = se2.between(truth.path[0, 1:], truth.path[-1, 1:])
+    return Score(
+        float(error.ravel() @ np.linalg.solve(P, error.ravel())) / error.size,
+        _pose_nees(*mapper.final_pose(), end),
+        _pose_nees(mapper.pose, mapper.pose_covariance, end),
+        sum(counts[place] == 1 for place in detected),
+        len(detected),
+        float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
+        float(np.sqrt(np.mean(np.sum(se2.align(true, made.positions[known]).residuals ** 2, axis=1)))),
+        _gap(error, true),
+        _length_error(made.positions[known], true),
+        seconds,
+    )
+
+
+def _pose_nees(pose: np.ndarray, covariance: np.ndarray, true: np.ndarray) -> float:
+    error = pose - true
+    error[2] = se2.wrap(error[2])
+    return float(error @ np.linalg.solve(covariance, error)) / 3
+
+
+def _gap(error: np.ndarray, true: np.ndarray) -> float:
+    """How far a loop is from closed [m]: the largest difference of errors of landmarks no more than 10 m apart."""
+    pairs = [(i, j) for i, j in combinations(range(len(true)), 2) if np.hypot(*(true[i] - true[j])) < 10.0]
+    return max((float(np.hypot(*(error[i] - error[j]))) for i, j in pairs), default=0.0)
+
+
+def _length_error(found: np.ndarray, true: np.ndarray) -> float:
+    """Median error of distances above `FAR` metres between landmarks, as a share; NaN where there are none."""
+    pairs = [(i, j) for i, j in combinations(range(len(true)), 2) if np.hypot(*(true[i] - true[j])) > FAR]
+    shares = [abs(np.hypot(*(found[i] - found[j])) / np.hypot(*(true[i] - true[j])) - 1) for i, j in pairs]
+    return float(np.median(shares)) if shares else float("nan")
+
+
+def quantiles(values: Sequence[float], unit: str = "") -> str:
+    """Median, 90 % and largest value."""
+    known = np.array([v for v in values if np.isfinite(v)])
+    return " / ".join(f"{v:.3g}{unit}" for v in (np.median(known), np.quantile(known, 0.9), known.max()))
+
+
+def row(kind: str, scores: Sequence[Score]) -> str:
+    """One line of the table."""
+    once, detected = sum(s.once for s in scores), sum(s.detected for s in scores)
+    cells = [
+        f"| {kind}",
+        f"{len(scores)}",
+        f"{np.mean([s.landmarks for s in scores]):.2f}",
+        f"{np.mean([s.pose for s in scores]):.2f}",
+        f"{np.mean([s.filter_pose for s in scores]):.2f}",
+        f"{once} of {detected} ({100 * once / detected:.2f} %)",
+        quantiles([s.aligned for s in scores]),
+        quantiles([s.loop for s in scores]),
+        quantiles([100 * s.length for s in scores]) if kind == "hospital" else "-",
+        f"{np.mean([s.seconds for s in scores]):.2f} |",
+    ]
+    return " | ".join(cells)
+
+
+HEAD = """| floor | runs | NEES landmarks | NEES pose | NEES of the filter's pose | true places found once \
+| rms aligned [m] | loop gap [m] | lengths above 50 m, error [%] | CPU s per log |
+|---|---|---|---|---|---|---|---|---|---|"""
+
+
+def main() -> None:
+    """Run, print, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=20, help="explorations of irregular floors; the others half")
+    parser.add_argument("--tuning", action="store_true", help="seeds for development instead of those for figures")
+    parser.add_argument("--write", action="store_true", help="keep the table in benchmarks/results")
+    options = parser.parse_args()
+    seeds = TUNING_SEEDS if options.tuning else TEST_SEEDS
+    lines = []
+    for kind, count in (
+        ("irregular", options.count),
+        ("salvatori", options.count // 2),
+        ("hospital", options.count // 2),
+    ):
+        lines.append(row(kind, [explored(kind, seed) for seed in seeds[:count]]))
+        print(lines[-1], flush=True)
+    which = "tuning" if options.tuning else "test"
+    made_on = f"{platform.machine()}, Python {platform.python_version()}, {datetime.now(UTC):%Y-%m-%d}"
+    title = f"simulated explorations, {which} seeds; {made_on}"
+    note = "Three numbers: median, 90 % quantile, largest. NEES per degree of freedom (1 is right)."
+    table = "\n".join([title, "", HEAD, *lines, "", note, ""])
+    if options.write:
+        (HERE / "results" / "mapper-consistency.md").write_text(table)
+
+
+if __name__ == "__main__":
+    main()
