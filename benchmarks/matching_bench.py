@@ -117,7 +117,7 @@ class SizeRow:
 def prepare(recorded: LandmarkMap) -> None:
     """What is done once per map."""
     arrays = landmark_arrays(recorded)
-    for name in ("travelled", "patterns", "by_isolation", "by_place", "near_open", "near_blocked"):
+    for name in ("travelled", "patterns", "by_isolation", "by_place", "near_open", "near_blocked", "rates", "spread"):
         getattr(arrays, name)
 
 

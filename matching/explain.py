@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -55,6 +55,29 @@ def explain(
     if isinstance(what, Transform):
         return _of_transform(map1, map2, what, config)
     return _of_pair(map1, map2, what, config)
+
+
+def explained(
+    map1: LandmarkMap, map2: LandmarkMap, found: Sequence[Hypothesis], config: MatchingConfig
+) -> list[Hypothesis]:
+    """The hypotheses, each with why it was proposed as its ``explanation``."""
+    return [replace(h, explanation=_proposed(map1, map2, h, config)) for h in found]
+
+
+def _proposed(map1: LandmarkMap, map2: LandmarkMap, hypothesis: Hypothesis, config: MatchingConfig) -> str:
+    """Which landmarks proposed it by which rule, how many match, and what it is ranked by."""
+    named = ", ".join(f"{a}={b}" for a, b in hypothesis.seed)
+    types = {map1[a].type for a, _ in hypothesis.seed}
+    with_heading = all(heading_of(map1[a]) is not None and heading_of(map2[b]) is not None for a, b in hypothesis.seed)
+    rule = "their arms or headings lie on each other" if with_heading else "their distances are the same"
+    if config.mode == "paper":
+        rule = "of one type (H1), corners or junctions (H2), arms and compass agree"
+    text = f"proposed by {named or 'neighbours that agree'}" + (
+        f" ({', '.join(sorted(types))}; {rule})" if types else ""
+    )
+    matches = _number(hypothesis.count, "landmark matches", "landmarks match")
+    score = f"{hypothesis.score:.4g}" + ("" if config.mode == "paper" else " nats")
+    return f"{text}; {matches} one to one within {config.tolerance_m:g} m or their noise; score {score}"
 
 
 def _of_pair(map1: LandmarkMap, map2: LandmarkMap, pair: tuple[str, str], config: MatchingConfig) -> Explanation:

@@ -73,7 +73,7 @@ class Hypothesis:
 
     ``count``: one-to-one matching landmarks under ``T12``. ``correspondences``: their (id in map 1, id in map 2).
     ``seed``: the landmark pairs that proposed it, or the surest of its matches. ``score``: what hypotheses are ranked
-    by: the count in paper mode, else log odds [nats].
+    by: the count in paper mode, else log odds [nats]. ``explanation``: why it was proposed, where that was asked for.
     """
 
     T12: Transform
@@ -81,3 +81,4 @@ class Hypothesis:
     correspondences: Sequence[IdPair] = ()
     seed: tuple[IdPair, ...] = ()
     score: float = field(default=0.0)
+    explanation: str = field(default="", compare=False)

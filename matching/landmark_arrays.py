@@ -74,6 +74,45 @@ class LandmarkArrays:
         return self.detected * self.true
 
     @cached_property
+    def armed(self) -> NDArray[np.bool_]:
+        """Which landmarks have arms (n,)."""
+        return frozen(self.arm_open[:, 0] >= 0)
+
+    @cached_property
+    def log_true(self) -> Array:
+        """Logarithm of the probability that a recorded landmark is there (n,)."""
+        return frozen(np.log(self.true))
+
+    @cached_property
+    def middle(self) -> Array:
+        """Mean position (2,) [m]."""
+        return frozen(self.xy.mean(axis=0))
+
+    @cached_property
+    def spread(self) -> float:
+        """Mean squared distance from the middle [m^2]."""
+        return float(np.mean(np.sum((self.xy - self.middle) ** 2, axis=1)))
+
+    @cached_property
+    def largest_variance(self) -> float:
+        """Of all positions, per axis [m^2]."""
+        return float(self.variance.max())
+
+    @cached_property
+    def rates(self) -> tuple[Array, Array]:
+        """True landmarks of each label per square metre, and, of those with arms, per metre of corridor instead."""
+        n = len(self.labels)
+        count = np.bincount(self.label, weights=self.true / self.detected, minlength=n)
+        armed = np.bincount(self.label, weights=self.armed, minlength=n) > 0
+        box = float(np.prod(np.ptp(self.xy, axis=0) + 2.0))
+        way = self.travelled
+        # closer than the noise landmarks can't be told apart, however many there are
+        most = 0.25 / (np.sqrt(2 * np.pi) * np.sqrt(2 * float(np.median(self.variance))))
+        within = np.minimum(count / max(box if way.has_links else way.length, 1.0), 4 * most**2)
+        along = np.minimum(count / max(way.length, 1.0), most)
+        return frozen(within), frozen(np.where(armed, along, within))
+
+    @cached_property
     def travelled(self) -> Travelled:
         """Where the robot has been, and so what it should have seen."""
         return travelled(self.xy, self.links, self.variance)

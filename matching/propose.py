@@ -13,12 +13,17 @@ from .point_pairs import match_point_pairs
 from .voting import propose_by_votes
 
 
-def propose(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig | None = None) -> list[Hypothesis]:
+def propose(
+    map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig | None = None, *, explain: bool = False
+) -> list[Hypothesis]:
     """Hypotheses of the transformation of map 2 into map 1, best first; empty where no landmarks can correspond.
 
     Paper mode is the exact, exhaustive matcher. In the default mode landmarks with headings vote for T12 one pair at a
     time, and those without propose two pairs at a time; what both find is refined and ranked together by all landmarks.
     Compasses, bent by steel indoors, say something about the order and exclude nothing.
+
+    With ``explain`` each hypothesis carries the sentence that says why it was proposed; `mapfuse.matching.explain` also
+    says why some other T12, or a pair of landmarks, was not.
 
     >>> from mapfuse.datasets.maps import Landmark, Link
     >>> arms = (Link("open", 0.0), Link("blocked", 1.57), Link("blocked", 3.14), Link("open", -1.57))
@@ -28,6 +33,10 @@ def propose(map1: LandmarkMap, map2: LandmarkMap, config: MatchingConfig | None 
     [(1.0, 2.0, 1)]
     """
     config = config or MatchingConfig()
+    if explain:
+        from .explain import explained
+
+        return explained(map1, map2, propose(map1, map2, config), config)
     if config.mode == "paper":
         return list(match_exhaustively(map1, map2, config).hypotheses)
     headed1, headed2 = landmark_arrays(map1).headed, landmark_arrays(map2).headed

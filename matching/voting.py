@@ -67,8 +67,8 @@ class Settings:
     looseness: float = 0.04
     gate: float = 3.0
     most_sigma_m: float = 1.5
-    arm: float = 0.3
-    contradiction: float = 2.5
+    arm: float = 0.5
+    contradiction: float = 3.5
     least_gain: float = -1.0
     against: bool = True
     grow: bool = True
@@ -276,10 +276,9 @@ class Pair:
         return ordered.taken(self._distinct(ordered, self.config.tolerance_m / 2, limit))
 
     def _distinct(self, candidates: Candidates, tolerance_m: float, limit: int) -> Indices:
-        mean = self.two.xy.mean(axis=0)
         # turns of a map of one landmark are distinct, too
-        spread = max(float(np.mean(np.sum((self.two.xy - mean) ** 2, axis=1))), 4.0)
-        kept: Indices = self.kernels.first_of_each(candidates.T12s, mean, spread, tolerance_m, limit)
+        spread = max(self.two.spread, 4.0)
+        kept: Indices = self.kernels.first_of_each(candidates.T12s, self.two.middle, spread, tolerance_m, limit)
         return kept
 
     def _compass(self, theta: Array) -> Array:
@@ -360,7 +359,7 @@ class _Scene:
         k = pair.kernels
         way1, way2 = one.travelled, two.travelled
         self.linear = way1.has_links and way2.has_links
-        rate1, rate2 = _rates(one, way1, self.linear), _rates(two, way2, self.linear)
+        rate1, rate2 = one.rates[self.linear], two.rates[self.linear]
         self.side1 = self._side(one, pair.label1, rate1, two)
         self.side2 = self._side(two, pair.label2, rate2, one)
         self.by_isolation2 = two.by_isolation
@@ -374,7 +373,7 @@ class _Scene:
             self.by_isolation2 = now_at[two.by_isolation]
         void = _void(one, two, rate1, rate2, self.linear) * settings.against
         self.seen1, self.seen2 = (self._seen(way, void) for way in (way1, way2))
-        least = float(one.variance.max() + two.variance.max())
+        least = one.largest_variance + two.largest_variance
         most = max(least, min(settings.most_sigma_m**2, 16 * least))
         self.rules = k.Rules(
             settings.gate,
@@ -394,13 +393,12 @@ class _Scene:
         return len(self.pair.two) * max(1.0, min(crowd, 256.0) / 3) + len(self.pair.one) / 4
 
     def _side(self, own: LandmarkArrays, label: NDArray[np.int32], rate: Array, other: LandmarkArrays) -> Any:
-        armed = own.arm_open[:, 0] >= 0
-        linear = armed & self.linear
+        linear = own.armed if self.linear else np.zeros(len(own), dtype=bool)
         seen_by_other = _by_label(own, other.noise.detection)
         # off the corridors nobody knows where the other robot looked
         charged = (linear | (not self.linear)) & self.pair.settings.against
         miss = np.where(charged, np.log(1 - own.true * np.clip(seen_by_other, 0.01, 0.99)), 0.0)
-        worth = np.log(own.true) - np.log(rate[own.label]) / 2
+        worth = own.log_true - (np.log(rate) / 2)[own.label]
         return self.pair.kernels.Side(
             own.xy, own.variance, frozen(label), own.heading, own.open_sectors, own.blocked_sectors,
             own.near_open, own.near_blocked, frozen(worth), frozen(miss), frozen(linear.astype(np.uint8)),
@@ -451,8 +449,10 @@ class _Scene:
                 self.side1, side2, self.cells, self.seen1, seen2, self.rules,
             )  # fmt: skip
 
-        n_parts = max(1, min(self.pair.config.threads, len(candidates)))
-        jobs = [candidates.taken(c) for c in np.array_split(np.arange(len(candidates)), n_parts)]
+        n_parts = min(self.pair.config.threads, len(candidates))
+        jobs = [candidates]
+        if n_parts > 1:
+            jobs = [candidates.taken(c) for c in np.array_split(np.arange(len(candidates)), n_parts)]
         T12s, centres, score, count, partner, seed = (
             np.concatenate(column) if len(column) > 1 else column[0]
             for column in zip(*self.pair.each(run, jobs), strict=True)
@@ -462,18 +462,6 @@ class _Scene:
 
 def _by_label(arrays: LandmarkArrays, rate: Callable[[str], float]) -> Array:
     return np.array([rate(label) for label in arrays.labels])[arrays.label]
-
-
-def _rates(own: LandmarkArrays, way: Travelled, linear: bool) -> Array:
-    """True landmarks of each label per metre of corridor, or, for points and without links, per square metre."""
-    count = np.bincount(own.label, weights=own.true / own.detected, minlength=len(own.labels))
-    armed = np.bincount(own.label, weights=own.arm_open[:, 0] >= 0, minlength=len(own.labels)) > 0
-    box = float(np.prod(np.ptp(own.xy, axis=0) + 2.0))
-    area = way.length if not way.has_links else box
-    # closer than the noise landmarks can't be told apart, however many there are
-    most = 0.25 / (np.sqrt(2 * np.pi) * np.sqrt(2 * float(np.median(own.variance))))
-    along, within = count / max(way.length, 1.0), count / max(area, 1.0)
-    return np.asarray(np.where(armed & linear, np.minimum(along, most), np.minimum(within, 4 * most**2)))
 
 
 def _void(one: LandmarkArrays, two: LandmarkArrays, rate1: Array, rate2: Array, linear: bool) -> float:

@@ -272,3 +272,16 @@ def test_an_explanation_says_which_of_the_papers_gates_it_was():
     four = LandmarkMap("four", (Landmark("h", "corner", 0.0, 0.0, links=south),))
     assert explain(three, four, ("g", "h"), paper).step == "compass"
     assert explain(three, four, ("g", "h")).proposed
+
+
+@pytest.mark.parametrize("mode", ["default", "paper"])
+def test_each_hypothesis_can_say_why_it_was_proposed(mode):
+    map1, map2, _ = simulated_pair(3)
+    config = MatchingConfig(mode=mode)
+    plain, told = propose(map1, map2, config), propose(map1, map2, config, explain=True)
+    assert told == plain
+    assert not any(h.explanation for h in plain)
+    for h in told:
+        assert all(f"{a}={b}" in h.explanation for a, b in h.seed)
+        assert ("(H2)" in h.explanation) == (mode == "paper")
+        assert f"; {h.count} landmark" in h.explanation
