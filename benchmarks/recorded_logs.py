@@ -22,6 +22,7 @@ import numpy as np
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.mapper import Mapper
+from mapfuse.datasets.mapper.particles import name_detections
 from mapfuse.datasets.mrclam import ROBOTS, read_mrclam_log, read_mrclam_truth
 
 SETS = (2, 4, 6)
@@ -46,12 +47,15 @@ def measure(folder: Path, number: int, robot: int, barcodes: bool) -> Row:
     home = folder / f"MRCLAM_Dataset{number}"
     log, truth = read_mrclam_log(home, robot, barcodes=barcodes), read_mrclam_truth(home, robot)
     begin = time.process_time()
-    mapper = Mapper(log.header)
+    named = name_detections(log)
+    mapper, log = Mapper(log.header), named.log
     for event in log.events:
         mapper.update(event)
     map_, sources = mapper.map(), mapper.sources
     seconds = time.process_time() - begin
-    tubes = [Counter(truth.detections[k] for k in sources[l.id]).most_common(1)[0][0] for l in map_.landmarks]
+    tubes = [
+        Counter(truth.detections[named.numbers[k]] for k in sources[l.id]).most_common(1)[0][0] for l in map_.landmarks
+    ]
     surveyed = np.array([truth.places[tube or ""] for tube in tubes])
     apart = np.hypot(*se2.align(surveyed, map_.positions).residuals.T)
     rms, worst = float(np.sqrt(np.mean(apart**2))), float(apart.max())

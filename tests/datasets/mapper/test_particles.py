@@ -1,0 +1,72 @@
+"""Names by particles: true landmarks found again after a loop, the same names twice, and what stays as it is."""
+
+import numpy as np
+import pytest
+
+from mapfuse.datasets import ConfigError, se2
+from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
+from mapfuse.datasets.mapper.particles import ParticleConfig, name_detections
+
+SENSORS = Sensors(range_sigma=0.1, range_sigma_per_metre=0.0, bearing_sigma=0.03, odometry_turn_sigma_per_turn=0.1)
+PLACES = np.array([[3.0, 3.0], [-3.0, 3.5], [-3.5, -3.0], [3.2, -3.4], [0.2, 5.0], [5.0, -0.5]])
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Three rounds on a circle among six trees, odometry that turns 3 % too much; the tree of each detection."""
+    rng, events, trees = np.random.default_rng(5), [], []
+    true, odometry = np.zeros(3), np.zeros(3)
+    for k in range(900):
+        step = np.array([0.04, 0.0, 6 * np.pi / 900])
+        true = se2.compose(true, step)
+        odometry = se2.compose(odometry, step * [1, 1, 1.03] + [0, 0, rng.normal(0, 0.005)])
+        events.append(Odometry(0.2 * k, *odometry))
+        if k % 3:
+            continue
+        for number, place in enumerate(PLACES):
+            u, v = se2.transform(se2.inverse(true), place)
+            if abs(np.arctan2(v, u)) < 0.6:
+                near, bearing = np.hypot(u, v) + rng.normal(0, 0.1), np.arctan2(v, u) + rng.normal(0, 0.03)
+                events.append(Detection(0.2 * k, "tree", float(near), float(bearing)))
+                trees.append(number)
+    return Log(LogHeader("D7", sensors=SENSORS), events), trees
+
+
+def test_each_tree_has_one_name_over_three_rounds(drive):
+    log, trees = drive
+    named = name_detections(log, ParticleConfig(particles=40))
+    ids = [event.id for event in named.log.events if isinstance(event, Detection)]
+    pairs = {(name, trees[k]) for name, k in zip(ids, named.numbers, strict=True)}
+    assert len(pairs) == len(PLACES)
+    assert len(ids) > 0.5 * len(trees)
+
+
+def test_the_same_log_and_seed_give_the_same_names(drive):
+    log, _ = drive
+    once, again = (name_detections(log, ParticleConfig(particles=10), seed=3) for _ in range(2))
+    assert once.log.events == again.log.events
+    assert once.numbers == again.numbers
+
+
+def test_named_ones_and_those_with_arms_stay_as_they_are():
+    arms = (SensedArm("open", 0.5),)
+    kept = [Detection(0.0, "tree", 2.0, 0.0, id="tree.1"), Detection(0.1, "crossing", 2.0, 0.0, arms)]
+    looks = [Detection(0.2 + 0.1 * k, "tree", 5.0 - 0.1 * k, 0.0) for k in range(20)]
+    moves = [Odometry(0.2 + 0.1 * k, 0.1 * k, 0.0, 0.0) for k in range(20)]
+    events = [*kept, *sorted([*moves, *looks], key=lambda event: event.t)]
+    named = name_detections(Log(LogHeader("D7", sensors=SENSORS), events), ParticleConfig(particles=10))
+    assert named.log.events[:2] == kept
+    fresh = {event.id for event in named.log.events[2:] if isinstance(event, Detection)}
+    assert fresh == {"tree.2"}
+
+
+def test_single_false_alarms_get_no_name_and_go():
+    events = [Odometry(0.0, 0.0, 0.0, 0.0), Detection(0.0, "tree", 2.0, 0.0), Odometry(1.0, 1.0, 0.0, 0.0)]
+    named = name_detections(Log(LogHeader("D7", sensors=SENSORS), events))
+    assert named.numbers == ()
+    assert not any(isinstance(event, Detection) for event in named.log.events)
+
+
+def test_no_particles_are_refused():
+    with pytest.raises(ConfigError, match="particles"):
+        ParticleConfig(particles=0)
