@@ -14,6 +14,9 @@ from mapfuse.factors import LandmarkKey, build_problem
 from mapfuse.factors.correspondence import SAME_PLACE, Correspondence
 from mapfuse.fusion import fuse, read_fused, write_fused
 
+#: One worker fuses the maps that all of these look at.
+pytestmark = pytest.mark.xdist_group("groups")
+
 
 def recorded(seed, floors):
     """One map of each of ``floors`` (repeated for several maps), with the truth of all; tuning seeds."""
