@@ -8,10 +8,13 @@ disagree by metres through drift still match as a whole.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+
+from mapfuse.datasets import se2
 
 from .config import SolvingConfig, chi2_gate
 from .elastic import NO_HEADING_SIGMA, ArmOverlay, Joined
@@ -43,6 +46,16 @@ class Growth:
     def j(self) -> Index:
         """Matched landmarks of map 2 (k,)."""
         return self.joined.j
+
+    @cached_property
+    def pairs(self) -> frozenset[tuple[int, int]]:
+        """The matches as (place in map 1, place in map 2)."""
+        return frozenset(zip(self.i.tolist(), self.j.tolist(), strict=True))
+
+    @cached_property
+    def placed2(self) -> Array:
+        """All of map 2's landmarks where T12 takes them (n2, 2) [m, frame 1]."""
+        return np.asarray(se2.transform(self.joined.T12, self.joined.m2.positions))
 
     @property
     def places_map2(self) -> bool:

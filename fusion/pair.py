@@ -69,15 +69,14 @@ def grow_all(
     """
     may = compatible(m1, m2, known)
     grown: list[Growth] = []
-    explained: list[tuple[set[tuple[int, int]], float]] = []
+    explained: list[tuple[frozenset[tuple[int, int]], float]] = []
     for hypothesis in hypotheses:
         seed = _seed(m1, m2, hypothesis)
         theta = hypothesis.T12.theta
         if any(set(seed) <= pairs and abs(se2.wrap(theta - turn)) < 0.5 for pairs, turn in explained):
             continue
         growth = grow(m1, m2, hypothesis.T12.array, seed, config, may)
-        pairs = set(zip(growth.i.tolist(), growth.j.tolist(), strict=True))
-        explained.append((pairs | set(seed), float(growth.joined.T12[2])))
+        explained.append((growth.pairs | set(seed), float(growth.joined.T12[2])))
         grown.append(growth)
     by_known = grow_known(m1, m2, known, config)
     grown = [by_known, *grown] if by_known is not None else grown
@@ -98,10 +97,12 @@ def _one_answer(a: Growth, b: Growth, tolerance_m: float) -> bool:
     So they are where half of the smaller one's matches are the other's too, or where both lay map 2 on the same
     place: twins that stand close together may be matched either way.
     """
-    pairs_a = set(zip(a.i.tolist(), a.j.tolist(), strict=True))
-    pairs_b = set(zip(b.i.tolist(), b.j.tolist(), strict=True))
-    if 2 * len(pairs_a & pairs_b) >= min(len(pairs_a), len(pairs_b)):
+    if 2 * len(a.pairs & b.pairs) >= min(len(a.pairs), len(b.pairs)):
         return True
+    # the root mean square over n landmarks is no less than the distance of any one of them by the root of n
+    x, y = (a.placed2[a.j[0]] - b.placed2[a.j[0]]).tolist()
+    if x * x + y * y > (len(a.j) + len(b.j)) * tolerance_m**2:
+        return False
     overlap = a.joined.m2.positions[np.union1d(a.j, b.j)]
     return bool(displacement(a.joined.T12, b.joined.T12, overlap) < tolerance_m)
 

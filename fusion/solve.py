@@ -39,15 +39,19 @@ MAX_POLISHING = 8
 class Solution:
     """The optimum of a problem, and its covariance as a query.
 
-    ``poses``: every unknown's (3,) pose in the merged frame. ``chi2``: sum of squared whitened residuals.
+    ``poses``: every unknown's (3,) pose in the merged frame.
     ``rejected``: correspondences that the gate took out.
     """
 
     problem: Problem
     poses: dict[Unknown, Array]
-    chi2: float
     iterations: int
     rejected: tuple[Correspondence, ...] = ()
+
+    @cached_property
+    def chi2(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(sum(np.sum(m.residual(self.poses) ** 2) for m in self.problem.measurements))
 
     @cached_property
     def _order(self) -> dict[Unknown, int]:
@@ -195,8 +199,7 @@ def _open(problem: Problem, poses: Mapping[Unknown, Array]) -> list[Unknown]:
 
 def _solved(problem: Problem) -> Solution:
     poses, iterations = _optimise(problem)
-    squared = float(sum(np.sum(m.residual(poses) ** 2) for m in problem.measurements))
-    return Solution(problem, poses, squared, iterations)
+    return Solution(problem, poses, iterations)
 
 
 def left_out(solution: Solution, match: Correspondence) -> float:
