@@ -57,7 +57,7 @@ def metrics(repeat: int) -> list[Metric]:
     return [
         Metric("mapfuse --help: wall", help_.wall, "s", tolerance=None, limit=0.3),
         Metric("mapfuse --help: processor / import numpy", help_.processor / reference.processor, "x", tolerance=0.5),
-        Metric("mapfuse fuse, two small maps: wall", fuse.wall, "s", tolerance=None, limit=8.0),
+        Metric("mapfuse fuse, two small maps: wall", fuse.wall, "s", tolerance=None, limit=3.0),
         Metric(
             "mapfuse fuse, two small maps: processor / import numpy",
             fuse.processor / reference.processor,
