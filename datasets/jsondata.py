@@ -10,14 +10,17 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
 from .errors import FileFormatError, Problem
+from .files import read_whole
+
+Value = TypeVar("Value")
 
 #: A document whose values would take more memory than this is refused [bytes], by a count of its punctuation.
 MAX_MEMORY_BYTES = 4 * 2**30
@@ -205,6 +208,21 @@ def decode(data: bytes, path: str | Path) -> tuple[Any, tuple[Problem, ...]]:
         pass
     document = _read_leniently(data, path)
     return document, tuple(islice(_text_problems(document), MAX_PROBLEMS))
+
+
+def checked(path: str | Path, check: Callable[[Any], tuple[Value | None, Iterable[Problem]]]) -> Value:
+    """What ``check`` makes of the document in a file.
+
+    Raises `FileFormatError`, which lists every broken rule, each place once, and `InputError` where the file can't be
+    read.
+    """
+    document, faults = decode(read_whole(path), path)
+    value, found = check(document)
+    said_already = {problem.place for problem in faults}
+    problems = [*faults, *(problem for problem in found if problem.place not in said_already)]
+    if problems or value is None:
+        raise FileFormatError(path, tuple(problems))
+    return value
 
 
 def _text_problems(document: Any) -> Iterator[Problem]:

@@ -572,7 +572,7 @@ def _plain(value: Any) -> Any:
 def _number_of_numpy(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
-    raise NotImplementedError
+    raise NotImplementedError  # what a hook of msgspec says of types that it doesn't know
 
 
 def _chunks(log: Log) -> Iterator[bytes]:

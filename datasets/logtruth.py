@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FileFormatError, MapfuseError, Problem
-from .files import read_whole, write_whole
-from .jsondata import decode, encode, format_fault, json_faults, render, said
+from .errors import MapfuseError, Problem
+from .files import write_whole
+from .jsondata import checked, encode, format_fault, json_faults, render, said
 from .logs import LogTruth
 from .rules import NUMBER, WORD, RuleError, table
 
@@ -50,13 +50,7 @@ def read_log_truth(path: str | Path) -> LogTruth:
 
     Raises `FileFormatError`, which lists every broken rule, and `InputError` where the file can't be read.
     """
-    document, faults = decode(read_whole(path), path)
-    truth, problems = _check(document)
-    said_already = {problem.place for problem in faults}
-    problems = [*faults, *(problem for problem in problems if problem.place not in said_already)]
-    if problems or truth is None:
-        raise FileFormatError(path, tuple(problems))
-    return truth
+    return checked(path, _check)
 
 
 def _check(document: Any) -> tuple[LogTruth | None, list[Problem]]:

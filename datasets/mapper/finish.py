@@ -190,7 +190,7 @@ def _doubles(
             nats += log(config.seen_twice / (1 - config.seen_twice))
             if one.turn is not None and other.turn is not None:
                 turn = directions[keys[i]] - directions[keys[j]]
-                on = overlay(other.arms, [_sensed(a.type, a.off + turn) for a in one.arms], 0.0, config)
+                on = overlay(other.arms, [SensedArm(a.type, a.off + turn) for a in one.arms], 0.0, config)
                 nats += on.nats if on.pairs else -log(config.arm_right / (1 - config.arm_right))
             near = float(np.hypot(*r)) < LEAST_DISTANCE
             if near and squared < chi2_beyond(1e-4, 2):
@@ -204,10 +204,6 @@ def _doubles(
             out.append(pair)
             taken |= set(pair)
     return out
-
-
-def _sensed(type_: str, bearing: float) -> SensedArm:
-    return SensedArm(type_, bearing)  # type: ignore[arg-type]
 
 
 class _Rows:
@@ -337,7 +333,7 @@ class _Rows:
             heading, row = self._arm(key, m)
             if any(abs(wrap(heading - (link.heading or 0.0))) < 0.35 for link in links):
                 continue
-            links.append(Link(landmark.arms[m].type, heading, self._compass(key, heading)))  # type: ignore[arg-type]
+            links.append(Link(landmark.arms[m].type, heading, self._compass(key, heading)))
             rows.append(row)
         self.arm_sigmas += [float(np.sqrt(max(0.0, float(row @ self.covariance @ row)))) for row in rows]
         return links, rows

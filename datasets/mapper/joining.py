@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..logs import SensedArm
+from ..maps import LinkType
 from .association import overlay, wrap_any
 from .config import MapperConfig
 from .memory import Arm, Known, Memory
@@ -53,7 +54,7 @@ def add_arms(
     return out
 
 
-def _vote(arm: Arm, type_: str) -> None:
+def _vote(arm: Arm, type_: LinkType) -> None:
     arm.count += 1
     arm.votes[type_] = arm.votes.get(type_, 0) + 1
 
@@ -108,7 +109,7 @@ def _once(arms: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
 
 def _merge_arms(kept: Known, gone: Known, turn: float, config: MapperConfig) -> list[int]:
     """Arms of ``gone``, which faces ``turn`` [rad] from ``kept``, added to those of ``kept``; where each went."""
-    sensed = [SensedArm(arm.type, arm.off + turn) for arm in gone.arms]  # type: ignore[arg-type]
+    sensed = [SensedArm(arm.type, arm.off + turn) for arm in gone.arms]
     on = overlay(kept.arms, sensed, 0.0, config)
     place = {j: m for m, j in on.pairs}
     for j, arm in enumerate(gone.arms):

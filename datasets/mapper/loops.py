@@ -193,7 +193,7 @@ class _Search:
         nats = -squared / 2 - log(2 * pi) - 0.5 * log(float(np.linalg.det(S))) - log(self.config.landmark_density)
         if a.turn is None or b.turn is None:
             return nats, 0.0, -1.0
-        sensed = [SensedArm(arm.type, arm.off) for arm in a.arms]  # type: ignore[arg-type]
+        sensed = [SensedArm(arm.type, arm.off) for arm in a.arms]
         on = overlay(b.arms, sensed, float(belief.x[j[2]] - belief.x[i[2]]), self.config)
         if not on.pairs:
             return nats + log(1 - self.config.arm_right) - log(self.config.arm_right), 0.0, -1.0

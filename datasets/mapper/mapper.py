@@ -152,19 +152,16 @@ class Mapper:
 
     def update(self, event: Event) -> tuple[Change, ...]:
         """Take one event in; what it changed."""
-        kind = type(event)
-        if kind is Odometry:
-            self._odometry(event)  # type: ignore[arg-type]
-            return ()
-        if kind is Gyro:
-            self.state.reckoning.gyro(event.t, event.rate)  # type: ignore[union-attr]
-            return ()
-        if kind is Compass:
-            self._compass(event)  # type: ignore[arg-type]
-            return ()
-        if kind is Detection:
-            return self._detection(event)  # type: ignore[arg-type]
-        self._scan(event)  # type: ignore[arg-type]
+        if isinstance(event, Odometry):
+            self._odometry(event)
+        elif isinstance(event, Gyro):
+            self.state.reckoning.gyro(event.t, event.rate)
+        elif isinstance(event, Compass):
+            self._compass(event)
+        elif isinstance(event, Detection):
+            return self._detection(event)
+        else:
+            self._scan(event)
         return ()
 
     def _odometry(self, event: Odometry) -> None:

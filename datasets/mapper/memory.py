@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import msgspec
 
+from ..maps import LinkType
 from .odometry import Motion
 
 Pose = tuple[float, float, float]
@@ -18,13 +19,13 @@ class Arm(msgspec.Struct):
 
     off: float
     count: int
-    votes: dict[str, int]
+    votes: dict[LinkType, int]
 
     @property
-    def type(self) -> str:
+    def type(self) -> LinkType:
         """The type that was sensed most often; what was sensed as unknown has no say."""
-        known = {name: n for name, n in self.votes.items() if name != "unknown"}
-        return max(sorted(known), key=known.__getitem__, default="unknown")
+        known = [name for name in sorted(self.votes) if name != "unknown"]
+        return max(known, key=lambda name: self.votes[name], default="unknown")
 
     @property
     def passable(self) -> bool | None:

@@ -36,19 +36,6 @@ def run(*arguments: str | Path, **options: object) -> subprocess.CompletedProces
     )
 
 
-@pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> Command:
-    """The command in this process; gives its exit code, lets a bug's exception through."""
-
-    def call(*arguments: str | Path) -> int:
-        monkeypatch.setattr(sys, "argv", ["mapfuse", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            main()
-        return int(left.value.code or 0)
-
-    return call
-
-
 def covariance(*sigmas: float) -> np.ndarray:
     return np.diag(np.square(sigmas))
 

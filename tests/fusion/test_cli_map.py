@@ -18,7 +18,6 @@ from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Event, Log, LogHeader, LogTruth, Odometry, Sensors
 from mapfuse.datasets.logtruth import write_log_truth
 from mapfuse.datasets.truth import read_truth
-from mapfuse.fusion.cli import main
 
 MAPFUSE = Path(sys.executable).with_name("mapfuse")
 Command = Callable[..., int]
@@ -27,19 +26,6 @@ Command = Callable[..., int]
 TREES = {"oak": (3.0, 1.0), "elm": (6.0, -1.0), "ash": (9.0, 1.0)}
 SENSORS = Sensors(field_of_view=2 * np.pi, detection_rate=0.95, false_alarm_rate=0.02)
 START = np.array([5.0, -2.0, np.pi / 2])
-
-
-@pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> Command:
-    """The command in this process; gives its exit code, lets a bug's exception through."""
-
-    def call(*arguments: str | Path) -> int:
-        monkeypatch.setattr(sys, "argv", ["mapfuse", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            main()
-        return int(left.value.code or 0)
-
-    return call
 
 
 def events(first: float = 0.0, last: float = 10.0) -> tuple[list[Event], list[str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,24 +14,10 @@ from mapfuse.datasets.logfile import read_log
 from mapfuse.datasets.logs import Detection, Scan
 from mapfuse.datasets.logtruth import read_log_truth
 from mapfuse.datasets.truth import read_truth
-from mapfuse.fusion.cli import main
 
 Command = Callable[..., int]
 #: A short drive of each robot along the same corridor.
 SHORT = ("salvatori", "--share", "0.2", "--start", "p0", "--policy", "counter-clockwise")
-
-
-@pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> Command:
-    """The command in this process; gives its exit code, lets a bug's exception through."""
-
-    def call(*arguments: str | Path) -> int:
-        monkeypatch.setattr(sys, "argv", ["mapfuse", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            main()
-        return int(left.value.code or 0)
-
-    return call
 
 
 def contents(folder: Path) -> dict[str, bytes]:
