@@ -100,8 +100,10 @@ class SelfMatch:
 
 
 def repeats(background: Background, config: EvidenceConfig, best: Array, rival: Array) -> Array:
-    """What both maps say of the building lying on itself under the motion from the ``best`` T12 to a ``rival`` one, (6,),
-    as `SelfMatch.under`."""
+    """What both maps say of the building lying on itself under the motion from the ``best`` T12 to a ``rival``, (6,).
+
+    As `SelfMatch.under` says it, both maps together.
+    """
     in1 = SelfMatch(background.m1, background.points1, background.area1, config)
     in2 = SelfMatch(background.m2, background.points2, background.area2, config)
     return in1.under(np.asarray(se2.compose(rival, se2.inverse(best)))) + in2.under(
