@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 import gtsam
@@ -60,15 +60,16 @@ class Problem:
         Raises `UndeterminedError` naming the landmarks that no measurement mentions: GTSAM would leave them where
         they are in silence.
         """
-        mentioned = {unknown for measurement in self.measurements for unknown in measurement.unknowns}
-        silent = [unknown for unknown in self.keys if unknown not in mentioned]
-        if silent:
+        graph, kept = gtsam.NonlinearFactorGraph(), [_map_terms(recorded, r) for r, recorded in enumerate(self.maps)]
+        made = {number: factor for terms in kept for number, factor in terms.factors.items()}
+        for measurement in self.measurements:
+            graph.add(made.get(id(measurement)) or measurement.factor(self.keys))
+        mentioned = set(graph.keyVector())
+        if len(mentioned) < len(self.keys):
+            silent = [unknown for unknown in self.keys if self.keys.key(unknown) not in mentioned]
             landmarks = tuple((self.maps[u.map].name, u.id) for u in silent if isinstance(u, LandmarkKey))
             names = "" if landmarks else f" ({', '.join(self.keys.name(self.keys.key(u)) for u in silent)})"
             raise errors.UndeterminedError(f"no measurement says anything of these{names}", landmarks)
-        graph = gtsam.NonlinearFactorGraph()
-        for measurement in self.measurements:
-            graph.add(measurement.factor(self.keys))
         return graph
 
     def values(self, poses: Poses | None = None) -> Any:
@@ -77,19 +78,20 @@ class Problem:
         Raises `MapfuseError` for a pose that is not finite; KeyError where one is missing.
         """
         poses = self.initial if poses is None else poses
+        unknowns = self.keys.in_order
+        rows = np.array([poses[unknown] for unknown in unknowns])
+        finite = np.isfinite(rows).all(axis=1)
+        if not finite.all():
+            name = self.keys.name(self.keys.key(unknowns[int(np.argmin(finite))]))
+            raise errors.MapfuseError(f"the starting value of {name} is not finite")
         values = gtsam.Values()
-        for unknown in self.keys:
-            pose = poses[unknown]
-            if not np.isfinite(pose).all():
-                name = self.keys.name(self.keys.key(unknown))
-                raise errors.MapfuseError(f"the starting value of {name} is not finite")
-            values.insert(self.keys.key(unknown), gtsam.Pose2(*pose))
+        for key, (x, y, theta) in zip(self.keys.keys(unknowns), rows.tolist(), strict=True):
+            values.insert(key, gtsam.Pose2(x, y, theta))
         return values
 
     def poses(self, values: Any) -> dict[Unknown, Array]:
         """Poses (3,) of all unknowns out of ``gtsam.Values``, as a solver returns them."""
-        found = ((unknown, values.atPose2(self.keys.key(unknown))) for unknown in self.keys)
-        return {unknown: np.array([pose.x(), pose.y(), pose.theta()]) for unknown, pose in found}
+        return dict(zip(self.keys.in_order, gtsam.utilities.extractPose2(values), strict=True))
 
     def error(self, poses: Poses | None = None) -> float:
         """Sum of all errors in numpy [nats]; equals ``graph().error(values(poses))``."""
@@ -182,12 +184,32 @@ def map_measurements(recorded: LandmarkMap, r: int) -> tuple[Measurement, ...]:
     Kept for the maps used last, since it is the same under every hypothesis. Raises `MapError` for numbers that are
     not finite, duplicate ids, links to landmarks that the map doesn't have, and covariances that are none.
     """
-    return _map_measurements(ByIdentity(recorded), r)
+    return _map_terms(recorded, r).measurements
+
+
+class _MapTerms:
+    """What a map measures, and the GTSAM factor of each measurement by its identity: these live as long as this."""
+
+    def __init__(self, recorded: LandmarkMap, r: int) -> None:
+        self.measurements = _measured(recorded, r)
+        self._maps = r * [LandmarkMap("")] + [recorded]
+
+    @cached_property
+    def factors(self) -> Mapping[int, Any]:
+        keys = KeyBook(self._maps)
+        return {id(measurement): measurement.factor(keys) for measurement in self.measurements}
+
+
+def _map_terms(recorded: LandmarkMap, r: int) -> _MapTerms:
+    return _kept_terms(ByIdentity(recorded), r)
 
 
 @lru_cache(maxsize=64)
-def _map_measurements(cached: ByIdentity, r: int) -> tuple[Measurement, ...]:
-    recorded = cached.recorded
+def _kept_terms(cached: ByIdentity, r: int) -> _MapTerms:
+    return _MapTerms(cached.recorded, r)
+
+
+def _measured(recorded: LandmarkMap, r: int) -> tuple[Measurement, ...]:
     _check_map(recorded)
     joint = joint_measurement(recorded, r)
     placed = frozenset(recorded.joint_covariance.order if recorded.joint_covariance else ())
