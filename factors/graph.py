@@ -6,6 +6,7 @@ it is numpy. Maps can be any number; the merged frame is the frame of the refere
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapfuse.datasets import errors, se2
-from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets.maps import Landmark, LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from .compass import CompassReading, compass_readings, north_measurements
@@ -24,7 +25,7 @@ from .correspondence import Correspondence, correspondence
 from .frame import Gauge, TransformPrior, centre_of, frame_anchors, pose_triple
 from .heading import heading_measurements, headings_of
 from .joint import joint_measurement
-from .keys import ByIdentity, FrameKey, KeyBook, LandmarkKey, Unknown
+from .keys import ByIdentity, FrameKey, KeyBook, LandmarkKey, Unknown, map_keys
 from .link import link_measurements
 from .measurement import Measurement, Poses
 from .noise import DOUBT, Loss, floored_eigen
@@ -150,7 +151,8 @@ def build_problem(
         own = map_measurements(recorded, r)
         measurements += [Gauge.held(r, T) if r == reference else TransformPrior.weak(r, T, centre_of(recorded)), *own]
         placed = se2.compose(T, _starting_poses(recorded, start))
-        initial |= {LandmarkKey(r, name): pose for name, pose in zip(recorded.ids, placed, strict=True)}
+        keys = map_keys(recorded, r).landmarks
+        initial |= {keys[name]: pose for name, pose in zip(recorded.ids, placed, strict=True)}
     readings = [m for m in measurements if isinstance(m, CompassReading)]
     north, directions = north_measurements(maps, readings, initial)
     measurements += [*north, *_correspondences(maps, initial, matches, loss)]
@@ -214,8 +216,10 @@ def _measured(recorded: LandmarkMap, r: int) -> tuple[Measurement, ...]:
     joint = joint_measurement(recorded, r)
     placed = frozenset(recorded.joint_covariance.order if recorded.joint_covariance else ())
     turned = placed if recorded.joint_covariance and recorded.joint_covariance.rows == 3 else frozenset()
-    joined = {LandmarkKey(r, name) for name in placed}
-    links = [m for m in link_measurements(recorded, r) if not joined.issuperset(m.unknowns)]
+    links = list(link_measurements(recorded, r))
+    if placed:
+        joined = {LandmarkKey(r, name) for name in placed}
+        links = [m for m in links if not joined.issuperset(m.unknowns)]
     return (
         *frame_anchors(recorded, r, explained=placed),
         *heading_measurements(recorded, r, known=turned),
@@ -234,6 +238,8 @@ def _check_map(recorded: LandmarkMap) -> None:
     if len(set(recorded.ids)) < len(recorded):
         broken.append(errors.Problem("landmarks", "two landmarks have the same id"))
     for k, landmark in enumerate(recorded.landmarks):
+        if _is_finite(landmark):
+            continue
         numbers = {"x": landmark.x, "y": landmark.y, "heading": landmark.heading}
         for j, link in enumerate(landmark.links):
             at = f"links[{j}]."
@@ -251,6 +257,20 @@ def _check_map(recorded: LandmarkMap) -> None:
         broken.append(errors.Problem("noise.compass_offset_sigma", "must be a finite number, not negative, or null"))
     if broken:
         raise errors.MapError(recorded.name, tuple(broken))
+
+
+def _is_finite(landmark: Landmark) -> bool:
+    """Whether all numbers are finite and distances not negative: most are, and listing them all takes long."""
+    if landmark.covariance is not None:
+        return False
+    total = landmark.x + landmark.y + (landmark.heading or 0.0)
+    for link in landmark.links:
+        total += (link.heading or 0.0) + (link.compass or 0.0)
+        if link.distance is not None:
+            if link.distance < 0:
+                return False
+            total += link.distance
+    return math.isfinite(total)
 
 
 def _covariance_problems(place: str, covariance: Array | None) -> list[errors.Problem]:
@@ -275,7 +295,8 @@ def _pose(T: Transform | ArrayLike, r: int) -> Array:
 def _starting_poses(recorded: LandmarkMap, start: ArrayLike | None) -> Array:
     """Poses (n, 3) of all landmarks in their map's frame; theta 0 for landmarks without heading."""
     n = len(recorded)
-    headings = [headings_of(recorded)[name] for name in recorded.ids]
+    of = headings_of(recorded)
+    headings = [of[name] for name in recorded.ids]
     thetas = np.array([0.0 if h is None else h for h in headings], dtype=float)
     positions = recorded.positions
     if start is not None:

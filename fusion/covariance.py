@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 #: Up to this many poses a dense inverse is as fast as a sparse one, and needs no compiled code.
-DENSE_UNKNOWNS = 100
+DENSE_UNKNOWNS = 60
 #: A joint covariance of more poses than this is refused: it has (3k)^2 numbers.
 MAX_JOINT = 5000
 #: A pivot of the information matrix that is less than this share of its diagonal is rounding: nothing is measured.
@@ -71,13 +72,15 @@ class Linearised:
 
     def dense(self) -> Array:
         """Information (3f, 3f) of the free poses by errors in the axes of the frame."""
-        J = np.zeros((int(self.rows.max(initial=-1)) + 1, 3 * len(self.free)))
-        J[self.rows, self.columns] = self.values
+        size = 3 * len(self.free)
+        J = csr_array((self.values, (self.rows, self.columns)), shape=(int(self.rows.max(initial=-1)) + 1, size))
+        H: Array = (J.T @ J).toarray()
         c, s = np.cos(self.thetas), np.sin(self.thetas)
-        x, y = J[:, 0::3].copy(), J[:, 1::3].copy()
-        J[:, 0::3], J[:, 1::3] = c * x - s * y, s * x + c * y
-        J = J[:, np.repeat(self.free, 3)]
-        return np.asarray(J.T @ J)
+        for side in (H.T, H):  # a view each: columns, then rows
+            x, y = side[:, 0::3].copy(), side[:, 1::3].copy()
+            side[:, 0::3], side[:, 1::3] = c * x - s * y, s * x + c * y
+        moves = np.repeat(self.free, 3)
+        return H[np.ix_(moves, moves)]
 
     def blocks(self) -> tuple[Index, Index, Array]:
         """The same as 3x3 blocks: rows and columns (m,) among all poses, and the blocks (m, 3, 3)."""
@@ -172,7 +175,6 @@ class _Sparse:
     """A sparse factor, and the inverse on its pattern."""
 
     def __init__(self, linearised: Linearised, number: Index) -> None:
-        self._kernels = kernels("_sparse_kernels", __package__, "the solver's covariances")
         order = number[linearised.order]
         order = order[order >= 0]
         self._n = n = len(order)
@@ -220,6 +222,10 @@ class _Sparse:
         np.add.at(cost, self._turn[number[rows]], blocks @ found[self._turn[number[columns]]])
         costless = np.abs(np.sum(found * cost, axis=(0, 1))) < 10 * SINGULAR
         return _moved(found[self._turn][..., costless].reshape(3 * self._n, -1))
+
+    @property
+    def _kernels(self) -> ModuleType:
+        return kernels("_sparse_kernels", __package__, "the solver's covariances")
 
     @cached_property
     def _selected(self) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from mapfuse.datasets.errors import MapfuseError, UndeterminedError
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import Correspondence, FrameKey, Gauge, LandmarkKey, Problem, Unknown
 from mapfuse.factors.axes import pose_to_axes
+from mapfuse.factors.keys import map_keys
 
 from .config import SolvingConfig, chi2_gate
 from .covariance import Linearised, Marginals, SingularError
@@ -33,6 +34,8 @@ LEVEL = 1e-6
 #: Turns between landmarks' headings follow from how the frames lie; frames that turned more than this [rad] since are
 #: looked at again.
 TURNED = 1e-3
+#: From this share of correspondences beyond the gate on, the optimum of all of them is no place to start from.
+MANY = 0.25
 MAX_RESTARTS = 10
 MAX_STEPS = 12
 
@@ -73,6 +76,10 @@ class Solution:
             unknowns = self.problem.keys.in_order
             raise _undetermined(self.problem, [unknowns[k] for k in error.loose]) from None
 
+    def check_determined(self) -> None:
+        """Raises `UndeterminedError` naming the landmarks that the measurements leave open."""
+        _ = self._marginals
+
     def joint_covariance(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (3k, 3k) of k unknowns over (x, y, theta) each, axes of the merged frame.
 
@@ -103,7 +110,8 @@ class Solution:
 
     def landmark_keys(self, r: int) -> tuple[LandmarkKey, ...]:
         """Keys of map r's landmarks, in the map's order."""
-        return tuple(LandmarkKey(r, identifier) for identifier in self.problem.maps[r].ids)
+        keys = map_keys(self.problem.maps[r], r).landmarks
+        return tuple(keys[identifier] for identifier in self.problem.maps[r].ids)
 
     def landmark_poses(self, r: int) -> Array:
         """Poses (n, 3) of map r's landmarks in the merged frame, in the map's order."""
@@ -247,32 +255,28 @@ def all_left_out(solution: Solution, matches: Sequence[Correspondence]) -> Array
 def solve(problem: Problem, config: SolvingConfig) -> Solution:
     """Solve a problem; correspondences under a robust loss are gated, and the accepted ones solved as plain Gaussian.
 
-    Where all of them pass the gate together, that is all. Else the robust optimum is the starting point: one by one,
-    the correspondence that disagrees most with all the rest is taken out, while it lies beyond the chi-square gate, and
-    the rest is solved again.
+    One by one, the correspondence that disagrees most with all the rest is taken out, while it lies beyond the
+    chi-square gate, and the rest is solved again. Where many disagree at first the optimum of all may be far from the
+    right one: the robust optimum is then the starting point.
 
     Raises `UndeterminedError` naming the landmarks concerned where the measurements leave something open.
     """
-    doubted = problem
-    in_doubt = any(m.loss is not None for m in problem.of_kind(Correspondence))
-    if in_doubt:
-        problem = _trusted(problem)
-    solution = _optimum(problem)
-    if in_doubt:
-        solution = _turned(problem, solution)
-    worst, excess = _worst(solution, config)
-    if worst is None or excess <= 1:
-        return solution
-    if in_doubt:
-        problem = _matched_again(doubted.starting_at(_robust_optimum(doubted)))
-        solution = _optimum(problem)
-        worst, excess = _worst(solution, config)
+    doubted = any(m.loss is not None for m in problem.of_kind(Correspondence))
+    trusted = _trusted(problem) if doubted else problem
+    solution = _optimum(trusted)
+    if doubted:
+        solution = _turned(trusted, solution)
+    excess = _excess(solution, config)
+    if doubted and len(excess) and np.mean(excess > 1) > MANY:
+        solution = _optimum(_matched_again(problem.starting_at(_robust_optimum(problem))))
+        excess = _excess(solution, config)
     rejected: list[Correspondence] = []
-    while worst is not None and excess > 1:
+    while excess.max(initial=0.0) > 1:
+        worst = solution.problem.of_kind(Correspondence)[int(np.argmax(excess))]
         rejected.append(worst)
         kept = [m for m in solution.problem.measurements if m is not worst]
         solution = _optimum(solution.problem.starting_at(solution.poses).with_measurements(kept))
-        worst, excess = _worst(solution, config)
+        excess = _excess(solution, config)
     return replace(solution, rejected=tuple(rejected))
 
 
@@ -297,14 +301,13 @@ def _turned(problem: Problem, solution: Solution) -> Solution:
     return solution if again.measurements == problem.measurements else _optimum(again)
 
 
-def _worst(solution: Solution, config: SolvingConfig) -> tuple[Correspondence | None, float]:
-    """The correspondence that disagrees most with all the rest, and its distance by that of the gate.
+def _excess(solution: Solution, config: SolvingConfig) -> Array:
+    """How far each correspondence disagrees with all the rest, by the gate's distance (k,).
 
-    None of fewer than three: either of two may be the wrong one.
+    0 of fewer than three: either of two may be the wrong one.
     """
     matches = solution.problem.of_kind(Correspondence)
     if len(matches) < 3:
-        return None, 0.0
-    excess = all_left_out(solution, matches) / chi2_gate(config.gate_probability, np.array([m.dof for m in matches]))
-    worst = int(np.argmax(excess))
-    return matches[worst], float(excess[worst])
+        return np.zeros(len(matches))
+    dof = np.array([m.dof for m in matches])
+    return np.asarray(all_left_out(solution, matches) / chi2_gate(config.gate_probability, dof))
