@@ -32,7 +32,7 @@ PRIOR_SIGMA = np.array([100.0, 100.0, np.pi])
 
 def growth_kernels() -> ModuleType:
     """The compiled loops (`_growth_kernels`)."""
-    return kernels("_growth_kernels", __package__)
+    return kernels("_growth_kernels", __package__, "what grows a hypothesis")
 
 
 _sides: WeakKeyDictionary[PreparedMap, Any] = WeakKeyDictionary()

@@ -41,7 +41,7 @@ DOUBT = 2.0
 
 def evidence_kernels() -> ModuleType:
     """The compiled loops (`_evidence_kernels`)."""
-    return kernels("_evidence_kernels", __package__)
+    return kernels("_evidence_kernels", __package__, "what weighs a hypothesis")
 
 
 @dataclass(frozen=True, eq=False)

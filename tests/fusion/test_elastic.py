@@ -13,9 +13,10 @@ from mapfuse.factors import FrameKey, Prior, TransformPrior, pair_problem, singl
 from mapfuse.factors.correspondence import SAME_HEADING, SAME_PLACE
 from mapfuse.factors.noise import PoseNoise
 from mapfuse.fusion.config import SolvingConfig
+from mapfuse.fusion.covariance import information
 from mapfuse.fusion.elastic import NO_HEADING_SIGMA, PRIOR_SIGMA, ArmOverlay, Joined
 from mapfuse.fusion.prepared import prepare
-from mapfuse.fusion.solve import information, solve
+from mapfuse.fusion.solve import solve
 
 CONFIG = SolvingConfig()
 
