@@ -1,9 +1,10 @@
 """What a pair's graph costs beside GTSAM's own optimisation and marginals of it, and what preparing a map costs.
 
 Run: ``.venv/bin/python benchmarks/graph_bench.py [--sizes N ...] [--repeat N] [--large N]``. Processor time on
-simulated floors (`matching_floors`, seed 1, half of each map shared), recorded positions as start; the best of N runs, both sides
-in the same run. *ours*: build, solve, gate, refit, and the covariance of every pose, the maps' own measurements being
-prepared. *gtsam*: Levenberg-Marquardt with its defaults and ``Marginals`` key by key, of a graph already built.
+simulated floors (`matching_floors`, seed 1, half of each map shared), recorded positions as start; the best of N runs,
+both sides in the same run. *ours*: build, solve, gate, refit, and the covariance of every pose, the maps' own
+measurements being prepared. *gtsam*: Levenberg-Marquardt with its defaults and ``Marginals`` key by key, of a graph
+already built.
 ``--large``: all covariances of one map of N landmarks.
 """
 

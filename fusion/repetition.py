@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from mapfuse.datasets import se2
 
@@ -52,7 +51,7 @@ def alias(odds: Array, of_building: Array | None = None) -> float:
     agreement never counts for more than log 2 against an alias: only what is missing tells.
     """
     known = np.zeros(len(LACKING)) if of_building is None else of_building
-    return float(logsumexp(np.log(LACKING_PRIOR) + odds + known))
+    return float(np.logaddexp.reduce(np.log(LACKING_PRIOR) + odds + known))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +75,7 @@ class SelfMatch:
             back = (np.zeros(0), np.zeros(0))
         hits, misses = (np.concatenate(both) for both in zip(forward, back, strict=True))
         odds = lacking_odds(hits, misses)
-        return np.asarray(odds - (logsumexp(odds[1:]) - np.log(len(odds) - 1)))
+        return np.asarray(odds - (np.logaddexp.reduce(odds[1:]) - np.log(len(odds) - 1)))
 
     @cached_property
     def _rates(self) -> Array:
