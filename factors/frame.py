@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,8 @@ from .noise import LOOSE_POSITION, LOOSE_ROTATION, TIGHT, PoseNoise
 @dataclass(frozen=True, slots=True)
 class FrameAnchor(Between):
     """A landmark's recorded position seen from its map's frame; its rotation says nothing (`HeadingPrior` does)."""
+
+    readings: ClassVar[float] = 2.0
 
 
 @dataclass(frozen=True, slots=True)

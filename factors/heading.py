@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from .noise import PINNED_ROTATION, PoseNoise
 @dataclass(frozen=True, slots=True)
 class HeadingPrior(Between):
     """A landmark's heading seen from its map's frame; its position says nothing."""
+
+    readings: ClassVar[float] = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,11 @@ class JointMeasurement:
         return self.frame, *self.landmarks
 
     @property
+    def readings(self) -> float:
+        """How many independent numbers it stands for."""
+        return float(len(self.places))
+
+    @property
     def log_normaliser(self) -> float:
         """Log of its density's factor [nats]."""
         log_det = float(np.linalg.slogdet(self.sqrt_information)[1])

@@ -43,19 +43,25 @@ class LinkMeasurement(Between):
     """Landmark ``b`` seen from landmark ``a`` by the link recorded at ``a``; its rotation says nothing.
 
     ``bent``: a corner between them was not detected, so the recorded displacement stands in for distance and arm.
+    ``readings``: how many independent numbers it stands for; of what both ends share, half of one.
     """
 
     bent: bool = False
+    readings: float = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class RangeMeasurement:
-    """The distance [m] between two landmarks, of a link whose direction was not recorded at either end."""
+    """The distance [m] between two landmarks, of a link whose direction was not recorded at either end.
+
+    ``readings``: how many independent numbers it stands for; half of one where the other end says the same.
+    """
 
     a: LandmarkKey
     b: LandmarkKey
     distance: float
     sigma: float
+    readings: float = 1.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.distance) and self.distance >= 0 and np.isfinite(self.sigma) and self.sigma > 0):
@@ -241,7 +247,8 @@ def _displacement(
     turn = wrapped(h_j - h_i)
     measured = (length * cos(relative), length * sin(relative), turn)
     noise_ab = PoseNoise.from_axes(relative - turn, along, across, LOOSE_ROTATION)
-    return LinkMeasurement(key, far_key, measured, noise_ab, bent=bent)
+    readings = 2.0 - 0.5 * same_length - 0.5 * same_direction
+    return LinkMeasurement(key, far_key, measured, noise_ab, bent=bent, readings=readings)
 
 
 def _range(recorded: LandmarkMap, near: End, to: End, link: Link, other: Link | None) -> RangeMeasurement | None:
@@ -254,4 +261,4 @@ def _range(recorded: LandmarkMap, near: End, to: End, link: Link, other: Link | 
         return None
     shared = other is not None and other.heading is None and _same_distance(link, other)
     sigma *= ROOT_2 if shared else 1.0
-    return RangeMeasurement(key, far_key, link.distance, sigma)
+    return RangeMeasurement(key, far_key, link.distance, sigma, 0.5 if shared else 1.0)

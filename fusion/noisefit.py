@@ -1,0 +1,146 @@
+"""Is the noise that a map states its true noise? Its residuals at the optimum say so: `noise_fits`.
+
+Variance components (Foerstner 1979; Helmert 1907): the squared whitened residuals of one map's measurements add up to
+their redundancy, the number of measured values less what the solution fits of them, if its sigmas are true; to s^2 times
+that, if all are s times larger. The redundancy of a measurement is the number of its independent readings less the
+trace of ``J Sigma J'``, its whitened Jacobian around the covariance of the solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.stats import chi2 as chi_square
+
+from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap
+from mapfuse.factors import FrameAnchor, HeadingPrior, JointMeasurement, LinkMeasurement, RangeMeasurement
+from mapfuse.factors.axes import pose_rotations
+
+from .solve import Solution
+
+Array = NDArray[np.float64]
+
+#: A scale is believed to differ from 1 where that leaves the residuals this improbable.
+IMPROBABLE = 1e-3
+#: Redundant measurements that an estimate assumes besides those it has, all as stated, so that few don't decide.
+AS_STATED = 4.0
+#: Less redundancy than this says nothing.
+LEAST_REDUNDANCY = 1.0
+
+_OF_ONE_MAP = (LinkMeasurement, RangeMeasurement, FrameAnchor, HeadingPrior, JointMeasurement)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """How the measurements of one map fit the noise that it states.
+
+    ``chi2``: sum of their squared whitened residuals; ``redundancy``: what that sum is expected to be. ``used``: by how
+    much the stated sigmas were multiplied before (1: not at all).
+
+    >>> NoiseFit(chi2=120.0, redundancy=30.0).scale
+    2.0
+    """
+
+    chi2: float
+    redundancy: float
+    used: float = 1.0
+
+    @property
+    def scale(self) -> float:
+        """By how much the stated sigmas are too small, as a factor; 1 where nothing can be said."""
+        if self.redundancy < LEAST_REDUNDANCY:
+            return self.used
+        return self.used * float(np.sqrt(self.chi2 / self.redundancy))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Bounds between which the scale lies with 95 %."""
+        if self.redundancy < LEAST_REDUNDANCY:
+            return 0.0, float("inf")
+        low, high = chi_square.ppf((0.975, 0.025), self.redundancy)
+        return self.used * float(np.sqrt(self.chi2 / low)), self.used * float(np.sqrt(self.chi2 / high))
+
+    @property
+    def estimate(self) -> float:
+        """The scale to use: `scale`, drawn to 1 by `AS_STATED` measurements where there are few others."""
+        return float(np.sqrt((self.chi2 * self.used**2 + AS_STATED) / (self.redundancy + AS_STATED)))
+
+    @property
+    def can_be_true(self) -> bool:
+        """Whether the stated noise can be the true one."""
+        if self.redundancy < LEAST_REDUNDANCY:
+            return True
+        smaller = float(chi_square.cdf(self.chi2 * self.used**2, self.redundancy))
+        return min(smaller, 1 - smaller) > IMPROBABLE / 2
+
+
+def noise_fits(solution: Solution) -> tuple[NoiseFit, ...]:
+    """How each map of a solved problem fits its stated noise, in the order of the problem's maps.
+
+    Of distances, headings, positions and joint covariances; compass readings, of which steel makes any, are left out.
+    """
+    problem = solution.problem
+    graph = problem.graph()
+    linear = graph.linearize(problem.values(solution.poses))
+    rows, columns, values = np.asarray(linear.sparseJacobian_())
+    rows, columns = rows.astype(np.intp) - 1, columns.astype(np.intp) - 1
+    unknowns = problem.keys.in_order
+    size = 3 * len(unknowns)
+    ends = np.cumsum([graph.at(k).dim() for k in range(graph.size())])
+    height = int(ends[-1])
+    inside = columns < size
+    J = csr_array((values[inside], (rows[inside], columns[inside])), shape=(height, size))
+    squares = np.zeros(height)
+    squares[rows[~inside]] = values[~inside] ** 2
+    fitted = _fitted(J, solution, np.array([solution.poses[u][2] for u in unknowns]))
+    chi2, redundancy = np.zeros(len(problem.maps)), np.zeros(len(problem.maps))
+    for measurement, end, count in zip(problem.measurements, ends, np.diff(ends, prepend=0), strict=True):
+        if isinstance(measurement, _OF_ONE_MAP):
+            r = measurement.unknowns[0].map
+            of_it = slice(end - count, end)
+            chi2[r] += squares[of_it].sum()
+            redundancy[r] += measurement.readings - fitted[of_it].sum()
+    return tuple(NoiseFit(float(c), float(max(n, 0.0))) for c, n in zip(chi2, redundancy, strict=True))
+
+
+def _fitted(J: csr_array, solution: Solution, thetas: Array) -> Array:
+    """Diagonal of ``J Sigma J'`` (rows,), Sigma being needed only between unknowns that a row has both."""
+    unknowns = solution.problem.keys.in_order
+    rotations = pose_rotations(thetas)
+    out = np.zeros(J.shape[0])
+    blocks = csr_array((np.ones(J.nnz), J.indices // 3, J.indptr.copy()), shape=(J.shape[0], len(unknowns)))
+    blocks.sum_duplicates()
+    which: dict[tuple[int, int], list[int]] = {}
+    for row in range(J.shape[0]):
+        touched = blocks.indices[blocks.indptr[row] : blocks.indptr[row + 1]].tolist()
+        for a in touched:
+            for b in touched:
+                which.setdefault((a, b), []).append(row)
+    pairs = list(which)
+    if not pairs:
+        return out
+    covariances = solution.covariances([unknowns[a] for a, _ in pairs], [unknowns[b] for _, b in pairs])
+    dense = J.toarray()
+    for (a, b), S in zip(pairs, covariances, strict=True):
+        rows = which[a, b]
+        local = rotations[a].T @ S @ rotations[b]
+        out[rows] += np.einsum("ra,ab,rb->r", dense[rows, 3 * a : 3 * a + 3], local, dense[rows, 3 * b : 3 * b + 3])
+    return out
+
+
+def scaled(recorded: LandmarkMap, scale: float) -> LandmarkMap:
+    """The map with all its standard deviations of distances, headings and positions multiplied."""
+    names = ("distance_sigma_per_metre", "distance_sigma_floor", "heading_sigma", "position_sigma")
+    noise = replace(recorded.noise, **{name: scale * getattr(recorded.noise, name) for name in names})
+    joint = recorded.joint_covariance
+    if joint is not None:
+        joint = JointCovariance(joint.order, joint.rows, joint.matrix * scale**2, joint.extra)
+    landmarks: Sequence[Landmark] = [
+        landmark if landmark.covariance is None else replace(landmark, covariance=landmark.covariance * scale**2)
+        for landmark in recorded.landmarks
+    ]
+    return recorded.replace(noise=noise, joint_covariance=joint, landmarks=tuple(landmarks))
