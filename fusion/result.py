@@ -20,12 +20,20 @@ Decision = Literal["merged", "partial", "ambiguous", "no_overlap"]
 
 @dataclass(frozen=True, slots=True)
 class RankedHypothesis:
-    """One possible T12 of a pair: matched landmarks, log evidence ratio against no overlap [nats], probability."""
+    """One possible T12 of a pair: matched landmarks, log evidence ratio against no overlap [nats], probability.
+
+    Known of the placements that are worth telling, else empty: ``correspondences``, the matched landmarks' ids in both
+    maps; ``missed``: map name -> ids of landmarks that the other robot passed without recording them; ``evidence``:
+    name -> nats, the parts of ``log_evidence`` (`mapfuse.fusion.evidence.Terms`).
+    """
 
     T12: Transform
     count: int
     log_evidence: float
     probability: float
+    correspondences: tuple[tuple[str, str], ...] = field(default=(), kw_only=True)
+    missed: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False, kw_only=True)
+    evidence: Mapping[str, float] = field(default_factory=dict, hash=False, kw_only=True)
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False, hash=False)
 
 
