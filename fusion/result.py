@@ -69,6 +69,11 @@ class PairResult:
     def __reduce__(self) -> tuple[Any, ...]:
         return rebuilt(self)
 
+    def _repr_html_(self) -> str:
+        from .report.notebook import pair_html
+
+        return pair_html(self)
+
     @property
     def T12(self) -> Transform | None:
         """The first hypothesis' transformation."""
@@ -145,6 +150,11 @@ class FusedMap:
 
     def __hash__(self) -> int:
         return hash((self.decision, self.probability, self.maps))
+
+    def _repr_html_(self) -> str:
+        from .report.notebook import fused_html
+
+        return fused_html(self)
 
     def to_map(self, group: int = 0, name: str | None = None) -> LandmarkMap:
         """One group's merged map as a recorded map, in the frame of the group's first map, to be fused again.

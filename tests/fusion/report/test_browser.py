@@ -16,7 +16,8 @@ import pytest
 
 from mapfuse.datasets.logs import Detection, LogHeader, LogTruth, Odometry, Scan
 from mapfuse.datasets.maps import Landmark, LandmarkMap
-from mapfuse.fusion.report import fused_report, log_report, map_report
+from mapfuse.fusion import write_fused
+from mapfuse.fusion.report import batch_report, fused_report, log_report, map_report
 from mapfuse.fusion.result import FusedMap
 from mapfuse.fusion.show.journey import journey
 from mapfuse.fusion.show.log_page import Drive
@@ -501,3 +502,50 @@ def test_links_of_a_log_s_page_switch_its_parts(browser: Browser, pages: Mapping
     assert browser.count(".ground .alarms") == 1
     browser.click_label("path by odometry")
     assert browser.count(".ground .odometry") == 0
+
+
+# A batch run ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def batch_page(results: Mapping[str, FusedMap], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("run")
+    write_fused(results["merged"], run / "first.fused.json")
+    rows = ["map1,map2,decision,probability,x,y,theta,count,error", "D7,D9,merged,0.998,1,2,0.5,11,"]
+    rows += [f"D7,other-{k:03},no_overlap,0.00{k % 7},1,2,0.5,{k % 5}," for k in range(450)]
+    rows.append("D9,<b>bold</b>,,,,,,,no such file")
+    (run / "pairs.csv").write_text("\n".join(rows), encoding="utf-8")
+    batch_report(run, run / "report.html")
+    return run / "report.html"
+
+
+def test_a_batch_s_groups_are_drawn_when_they_are_opened(browser: Browser, batch_page: Path) -> None:
+    browser.open(batch_page)
+    assert browser.errors() == []
+    assert browser.count("svg.view") == 0
+    browser.click(".group summary")
+    assert browser.count(".group .mark") == 15
+    browser.point_at(browser.find(".group [data-key='g0:4'] .sign"))
+    assert "D9p1-1" in browser.text(".tip")
+    assert browser.errors() == []
+
+
+def test_a_batch_s_pairs_are_paged_filtered_and_sorted(browser: Browser, batch_page: Path) -> None:
+    browser.open(batch_page)
+    assert browser.count("#pairs tbody tr") == 200
+    assert browser.text("#where") == "1 to 200 of 452 pairs"
+    assert browser.text("#pairs tbody tr td:nth-child(4)") == "99.8 %"
+    browser.click("#on")
+    browser.click("#on")
+    assert browser.text("#where") == "401 to 452 of 452 pairs"
+    code = "const [i, value, event] = arguments; const e = document.querySelector(i); e.value = value;"
+    code += "e.dispatchEvent(new Event(event))"
+    browser.js(code, "#name", "other-44", "input")
+    assert browser.text("#where") == "1 to 10 of 10 pairs"
+    browser.js(code, "#name", "", "input")
+    browser.js(code, "#decision", "failed", "change")
+    assert browser.text("#pairs tbody tr td:nth-child(2)") == "<b>bold</b>"
+    assert browser.text("#pairs tbody tr td:nth-child(6)") == "no such file"
+    browser.js(code, "#decision", "all", "change")
+    browser.click("#pairs th:nth-child(2) button")
+    assert browser.text("#pairs tbody tr td:nth-child(2)") == "other-449"
