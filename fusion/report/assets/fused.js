@@ -54,7 +54,7 @@ class FusedPage {
     this.scenes = el("div", { id: "main" }, this.view.host);
     this.side = el("div", { class: "side", id: "evidence" });
     this.uncertain = el("div", { class: "columns", id: "uncertain" });
-    main.append(this.#choices(), el("div", { class: "stage" }, this.scenes, this.side), this.#legend());
+    main.append(this.#choices(), el("div", { class: "stage" }, this.scenes, this.side), this.#layers(), this.#legend());
     if (data.pairs.length > 1) main.append(this.#pairsAndGroups());
     main.append(this.#before(), section("How well is it known?", null, this.uncertain), this.#tables());
     this.choosePair(this.pair, this.merged.length ? "merged" : null);
@@ -78,8 +78,11 @@ class FusedPage {
     return el("div", { class: "controls" },
       el("fieldset", { class: "rivals" }, el("legend", {}, "How can the maps lie to each other?"), which, this.shares, el("div", { class: "slide" }, this.slider), this.said),
       el("fieldset", {}, el("legend", {}, "Show"), modes.map(([mode, label]) => el("label", { class: "check" }, this.modes.get(mode), label)), group),
-      el("fieldset", {}, el("legend", {}, "Maps"), toggles),
-      el("fieldset", {}, el("legend", {}, "Also"), ellipseChoice(), layerChoices([["ellipses", "ellipses"], ["links", "links"], ["walls", "walls"], ["matches", "matches"]])));
+      el("fieldset", {}, el("legend", {}, "Maps"), toggles));
+  }
+  #layers() {
+    return el("div", { class: "controls" }, el("fieldset", {}, el("legend", {}, "Also"), ellipseChoice(),
+      layerChoices([["ellipses", "ellipses"], ["links", "links"], ["walls", "walls"], ["paths", "paths"], ["matches", "matches"]])));
   }
   #legend() {
     const scenes = [...this.data.maps.map((map) => map.scene), ...this.data.groups.map((group) => group.scene)].filter(Boolean);
@@ -251,6 +254,7 @@ class FusedPage {
     }
     const joint = this.data.groups[this.group]?.scene.joint;
     if (joint) parts.push(el("div", {}, el("h3", {}, "Errors of landmarks hang together"),
+      el("p", {}, "In ", this.data.groups[this.group].maps.flatMap((m, k) => [k ? " + " : "", named(this.data.maps[m].name)]), this.merged.length ? ", merged." : ", alone."),
       jointPicture({ ...joint, prefix: `g${this.group}` }, (k) => this.data.groups[this.group].scene.ids[k])));
     this.uncertain.replaceChildren(...parts);
   }

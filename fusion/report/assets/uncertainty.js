@@ -64,8 +64,8 @@ function poseTable(rival, mixture) {
   };
   if (!rival.correlations) return el("p", {}, "The uncertainty of this placement isn't known.");
   return el("table", { class: "pose" },
-    el("thead", {}, el("tr", {}, el("th", {}, ""), el("th", { scope: "col" }, "σ if it is right"),
-      mixture ? el("th", { scope: "col" }, "σ over all placements") : null, names.map((n) => el("th", { scope: "col" }, n)))),
+    el("thead", {}, el("tr", {}, el("th", {}, ""), el("th", { scope: "col" }, "σ if right"),
+      mixture ? el("th", { scope: "col" }, "σ over all of them") : null, names.map((n) => el("th", { scope: "col" }, n)))),
     el("tbody", {}, names.map((n, k) => el("tr", {}, el("th", { scope: "row" }, n),
       el("td", {}, `${rival.sigmas[k]}${units[k]}`), mixture ? el("td", {}, `${mixture[k]}${units[k]}`) : null,
       rival.correlations[k].map((value, m) => cell(value, n, names[m]))))));
