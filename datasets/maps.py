@@ -178,6 +178,11 @@ class LandmarkMap:
     def __len__(self) -> int:
         return len(self.landmarks)
 
+    def _repr_html_(self) -> str:
+        from .notebook import map_html
+
+        return map_html(self)
+
     def __getitem__(self, identifier: str) -> Landmark:
         """The landmark of that id; KeyError where there is none."""
         return self.landmarks[self.index_from_id[identifier]]

@@ -81,17 +81,32 @@ def _two_words(value: Any) -> tuple[str, ...]:
     return words
 
 
+def _by_name(what: str, check: Callable[[Any], Any]) -> Callable[[Any], dict[str, Any]]:
+    """The check of an object whose values follow one rule."""
+
+    def check_all(value: Any) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            raise RuleError(((), f"must be an object of {what}, not {said(value)}"))
+        found: dict[str, Any] = {}
+        for name, item in value.items():
+            try:
+                found[name] = check(item)
+            except RuleError as error:
+                raise RuleError(*(((name, *where), reason) for where, reason in error.faults)) from None
+        return found
+
+    return check_all
+
+
+_ids_by_map = _by_name("map names, each with landmark ids", _words)
+
+
 def _ids_of_maps(value: Any) -> dict[str, tuple[str, ...]]:
-    if not isinstance(value, dict) or not value:
+    found: dict[str, tuple[str, ...]] = _ids_by_map(value)
+    if not found:
         raise RuleError(((), f"must be an object of map names, each with landmark ids, not {said(value)}"))
-    found: dict[str, tuple[str, ...]] = {}
-    for name, ids in value.items():
-        try:
-            found[name] = _words(ids)
-        except RuleError as error:
-            raise RuleError(*(((name, *where), reason) for where, reason in error.faults)) from None
-        if not ids:
-            raise RuleError(((name,), "must not be empty"))
+    if empty := [name for name, ids in found.items() if not ids]:
+        raise RuleError(((empty[0],), "must not be empty"))
     return found
 
 
@@ -109,14 +124,19 @@ TRANSFORM: _Checks = {
     "x": NUMBER.check, "y": NUMBER.check, "theta": ANGLE.check, "covariance": covariance(3).check,
 }  # fmt: skip
 FRAME: _Checks = {"group": COUNT.check, **TRANSFORM}
-HYPOTHESIS: _Checks = {"count": COUNT.check, "log_evidence": NUMBER.check, "probability": PROBABILITY.check}
+_id_pairs = _listed("pairs of landmark ids", Rule(_id_pair, {}), unique=True)
+HYPOTHESIS: _Checks = {
+    "count": COUNT.check, "log_evidence": NUMBER.check, "probability": PROBABILITY.check,
+    "correspondences": _id_pairs, "missed": _ids_by_map, "evidence": _by_name("names and nats", NUMBER.check),
+}  # fmt: skip
+_HYPOTHESIS_REQUIRED = ("count", "log_evidence", "probability")
 PAIR: _Checks = {
     "maps": _two_words,
     "decision": one_of("merged", "ambiguous", "no_overlap").check,
     "probability": PROBABILITY.check,
     "no_overlap_probability": PROBABILITY.check,
     "mixture_covariance": covariance(3).check,
-    "correspondences": _listed("pairs of landmark ids", Rule(_id_pair, {}), unique=True),
+    "correspondences": _id_pairs,
     "overruled_by": _words,
     "reason": TEXT.check,
 }
@@ -240,7 +260,7 @@ def _frames(document: Mapping[str, Any], groups: _Groups, faults: Faults) -> dic
 
 def _hypothesis(record: Any, place: Place, faults: Faults) -> RankedHypothesis | None:
     before = len(faults)
-    values = _values(record, HYPOTHESIS, tuple(HYPOTHESIS), place, faults, ("T12",))
+    values = _values(record, HYPOTHESIS, _HYPOTHESIS_REQUIRED, place, faults, ("T12",))
     if not isinstance(record, dict):
         return None
     if "T12" not in record:
@@ -298,6 +318,8 @@ def _disagreements(pair: PairResult, T12: Transform | None) -> list[tuple[str, s
         found.append(("T12", "is missing: it is that of the first hypothesis"))
     elif not _alike(T12, first.T12):
         found.append(("T12", "is not that of the first hypothesis"))
+    if first is not None and first.correspondences not in ((), pair.correspondences):
+        found.append(("correspondences", "are not those of the first hypothesis"))
     expected = 0.0 if first is None else first.probability
     if abs(pair.probability - expected) > TOLERANCE:
         found.append(("probability", f"is {pair.probability!r}, but that of the first hypothesis is {expected!r}"))
@@ -389,8 +411,26 @@ def _check_ids(values: Mapping[str, Any], faults: Faults) -> None:
                 place = ("landmarks", k, "sources", name)
                 faults += [((*place, i), f"{said(ids[i])} is no landmark of {said(name)}") for i in unknown]
     for p, pair in enumerate(values["pairs"]):
-        for c, ids in enumerate(pair.correspondences):
-            for side, (name, identifier) in enumerate(zip(pair.maps, ids, strict=True)):
-                if name in sources and identifier not in sources[name].index_from_id:
-                    here = ("pairs", p, "correspondences", c, side)
-                    faults.append((here, f"{said(identifier)} is no landmark of {said(name)}"))
+        faults += _unknown_ids(pair.maps, pair.correspondences, sources, ("pairs", p))
+        for k, hypothesis in enumerate(pair.hypotheses):
+            place = ("pairs", p, "hypotheses", k)
+            faults += _unknown_ids(pair.maps, hypothesis.correspondences, sources, place)
+            for name, ids in hypothesis.missed.items():
+                if name not in pair.maps:
+                    faults.append(((*place, "missed", name), "is none of the pair's maps"))
+                elif name in sources:
+                    unknown = [i for i, identifier in enumerate(ids) if identifier not in sources[name].index_from_id]
+                    reason = f"is no landmark of {said(name)}"
+                    faults += [((*place, "missed", name, i), f"{said(ids[i])} {reason}") for i in unknown]
+
+
+def _unknown_ids(
+    maps: Sequence[str], pairs: Sequence[tuple[str, str]], sources: Mapping[str, LandmarkMap], place: Place
+) -> Faults:
+    """Landmarks among these correspondences that the two maps, where they are embedded, don't have."""
+    return [
+        ((*place, "correspondences", c, side), f"{said(identifier)} is no landmark of {said(name)}")
+        for c, ids in enumerate(pairs)
+        for side, (name, identifier) in enumerate(zip(maps, ids, strict=True))
+        if name in sources and identifier not in sources[name].index_from_id
+    ]

@@ -129,8 +129,19 @@ def _hypothesis(hypothesis: RankedHypothesis) -> dict[str, Any]:
         "count": int(hypothesis.count),
         "log_evidence": float(hypothesis.log_evidence),
         "probability": float(hypothesis.probability),
+        **_told(hypothesis),
         **beside_T12,
     }
+
+
+def _told(hypothesis: RankedHypothesis) -> dict[str, Any]:
+    """What is known of a hypothesis besides its numbers; what isn't known has no field."""
+    fields = {
+        "correspondences": [list(ids) for ids in hypothesis.correspondences],
+        "missed": {name: list(ids) for name, ids in hypothesis.missed.items()},
+        "evidence": {name: float(nats) for name, nats in hypothesis.evidence.items()},
+    }
+    return {name: value for name, value in fields.items() if value}
 
 
 def _pair(pair: PairResult) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from .pairwise import compare
 from .prepared import PreparedMap, prepare
 from .result import Decision, Frame, FusedLandmark, FusedMap, PairResult
 from .settle import settled
+from .told import told
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,10 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
     prepared = {m.name: prepare(m, config.solving, np.deg2rad(config.evidence.corridor_angle_deg)) for m in maps}
     # one order of work whatever the order of input, so that the answer is the same to the last digit
     pairs = list(combinations(sorted(prepared), 2))
-    comparisons = {(a, b): compare(prepared[a], prepared[b], config, keep_solution=len(pairs) == 1) for a, b in pairs}
+    comparisons = {
+        (a, b): compare(prepared[a], prepared[b], config, keep_solution=len(pairs) == 1)
+        for a, b in told(pairs, "pairs of maps compared")
+    }
     emptiness = Emptiness(prepared, config.evidence)
     choice, joints = settled(prepared, comparisons, config, emptiness.against)
     names = [m.name for m in maps]

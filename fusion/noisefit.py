@@ -1,8 +1,8 @@
 """Is the noise that a map states its true noise? Its residuals at the optimum say so: `noise_fits`.
 
-Variance components (Foerstner 1979; Helmert 1907): the squared whitened residuals of one map's measurements add up to
-their redundancy, the number of measured values less what the solution fits of them, if its sigmas are true; to s^2 times
-that, if all are s times larger. The redundancy of a measurement is the number of its independent readings less the
+Variance components (Helmert 1907; Foerstner 1979): if its sigmas are true, the squared whitened residuals of one map's
+measurements add up to their redundancy, the number of measured values less what the solution fits of them; to s^2
+times that, if all are s times larger. The redundancy of a measurement is the number of its independent readings less the
 trace of ``J Sigma J'``, its whitened Jacobian around the covariance of the solution.
 """
 

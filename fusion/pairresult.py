@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,13 @@ from mapfuse.datasets import se2
 from mapfuse.datasets.transform import Transform
 
 from .consistent import Choice
-from .pairwise import Comparison
+from .pairwise import Candidate, Comparison
 from .result import PairDecision, PairResult, RankedHypothesis
 
 Array = NDArray[np.float64]
+
+#: Of so many hypotheses, and of all that are at least this probable, it is told which landmarks they match.
+TOLD, WORTH_TELLING = 3, 1e-4
 
 
 def pair_result(
@@ -30,22 +34,40 @@ def pair_result(
     names = comparison.maps[::-1] if swapped else comparison.maps
     candidates = [comparison.candidates[k] for k in order]
     transforms = [c.T12.inverse() if swapped else c.T12 for c in candidates]
+    told = [
+        _told(c, ids, comparison.maps, swapped) if k < TOLD or p >= WORTH_TELLING else {}
+        for k, (c, p) in enumerate(zip(candidates, probabilities, strict=True))
+    ]
     hypotheses = tuple(
-        RankedHypothesis(T, len(c.matches), c.log_odds, float(p), {"evidence": asdict(c.terms)})
-        for T, c, p in zip(transforms, candidates, probabilities, strict=True)
+        RankedHypothesis(T, len(c.matches), c.log_odds, float(p), evidence=asdict(c.terms), **more)
+        for T, c, p, more in zip(transforms, candidates, probabilities, told, strict=True)
     )
-    matches = [(ids[0][i], ids[1][j]) for i, j in candidates[0].matches] if candidates else []
     return PairResult(
         maps=names,
         decision=decision,
         probability=float(probabilities[0]) if candidates else 0.0,
         no_overlap_probability=none,
         hypotheses=hypotheses,
-        correspondences=tuple(sorted((b, a) if swapped else (a, b) for a, b in matches)),
+        correspondences=hypotheses[0].correspondences if hypotheses else (),
         reason=reason,
         mixture_covariance=mixture(transforms, probabilities) if candidates else None,
         overruled_by=choice.overruled.get(comparison.maps),
     )
+
+
+def _told(
+    candidate: Candidate, ids: tuple[Sequence[str], Sequence[str]], maps: tuple[str, str], swapped: bool
+) -> dict[str, Any]:
+    """Which landmarks a candidate matches, and which the other robot passed unrecorded, by their ids."""
+    matches = [(ids[0][i], ids[1][j]) for i, j in candidate.matches]
+    missed = {
+        maps[0]: tuple(sorted(ids[0][k] for k in candidate.missed1)),
+        maps[1]: tuple(sorted(ids[1][k] for k in candidate.missed2)),
+    }
+    return {
+        "correspondences": tuple(sorted((b, a) if swapped else (a, b) for a, b in matches)),
+        "missed": {name: missed[name] for name in (maps[::-1] if swapped else maps)},
+    }
 
 
 def _in_group(

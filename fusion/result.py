@@ -20,12 +20,20 @@ Decision = Literal["merged", "partial", "ambiguous", "no_overlap"]
 
 @dataclass(frozen=True, slots=True)
 class RankedHypothesis:
-    """One possible T12 of a pair: matched landmarks, log evidence ratio against no overlap [nats], probability."""
+    """One possible T12 of a pair: matched landmarks, log evidence ratio against no overlap [nats], probability.
+
+    Known of the placements that are worth telling, else empty: ``correspondences``, the matched landmarks' ids in both
+    maps; ``missed``: map name -> ids of landmarks that the other robot passed without recording them; ``evidence``:
+    name -> nats, the parts of ``log_evidence`` (`mapfuse.fusion.evidence.Terms`).
+    """
 
     T12: Transform
     count: int
     log_evidence: float
     probability: float
+    correspondences: tuple[tuple[str, str], ...] = field(default=(), kw_only=True)
+    missed: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False, kw_only=True)
+    evidence: Mapping[str, float] = field(default_factory=dict, hash=False, kw_only=True)
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False, hash=False)
 
 
@@ -60,6 +68,11 @@ class PairResult:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return rebuilt(self)
+
+    def _repr_html_(self) -> str:
+        from .report.notebook import pair_html
+
+        return pair_html(self)
 
     @property
     def T12(self) -> Transform | None:
@@ -137,6 +150,11 @@ class FusedMap:
 
     def __hash__(self) -> int:
         return hash((self.decision, self.probability, self.maps))
+
+    def _repr_html_(self) -> str:
+        from .report.notebook import fused_html
+
+        return fused_html(self)
 
     def to_map(self, group: int = 0, name: str | None = None) -> LandmarkMap:
         """One group's merged map as a recorded map, in the frame of the group's first map, to be fused again.

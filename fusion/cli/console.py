@@ -7,8 +7,15 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
+PAGE_SUFFIXES = (".html", ".htm")
+
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Say nothing but errors; files are written as ever.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say what is being done, on standard error.")]
 
 
 class UsageError(Exception):
@@ -66,11 +73,23 @@ def note(text: str) -> None:
     print(_without_controls(text), file=sys.stderr)
 
 
-def warn_on_stderr() -> None:
-    """Show what the library warns of (a landmark whose type contradicts its arms) as remarks of ours."""
+def warn_on_stderr(*, verbose: bool = False) -> None:
+    """Show what the library warns of (a landmark whose type contradicts its arms) as remarks of ours.
+
+    ``verbose``: also what it is doing.
+    """
     import logging
 
-    logging.basicConfig(format="mapfuse: warning: %(message)s", level=logging.WARNING)
+    class Worded(logging.Formatter):
+        def format(self, record: logging.LogRecord) -> str:
+            warning = "warning: " if record.levelno >= logging.WARNING else ""
+            return _without_controls(f"mapfuse: {warning}{record.getMessage()}")
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(Worded())
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    if verbose:
+        logging.getLogger("mapfuse").setLevel(logging.INFO)
 
 
 def check_outputs(path_from_option: Mapping[str, Path | None], inputs: Sequence[Path] = ()) -> None:
@@ -98,6 +117,12 @@ def check_picture(option: str, path: Path | None) -> None:
     """Raise `UsageError` where the file's ending is no picture format."""
     if path is not None and path.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"{option} {path}: a picture's name ends in one of {', '.join(PICTURE_SUFFIXES)}")
+
+
+def check_page(option: str, path: Path | None) -> None:
+    """Raise `UsageError` where the file's ending is not that of a page."""
+    if path is not None and path.suffix.lower() not in PAGE_SUFFIXES:
+        raise UsageError(f"{option} {path}: a page's name ends in {' or '.join(PAGE_SUFFIXES)}")
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -10,7 +10,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import UsageError, check_outputs, check_picture, note, say, say_bytes, warn_on_stderr, writing
+from .console import (
+    Quiet,
+    UsageError,
+    Verbose,
+    check_outputs,
+    check_page,
+    check_picture,
+    note,
+    say,
+    say_bytes,
+    warn_on_stderr,
+    writing,
+)
+from .progress import stages
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
@@ -31,6 +44,9 @@ def fuse_files(
         Path | None, typer.Option("-o", "--output", help="The result, OUT.fused.json.", show_default=False)
     ] = None,
     plot: Annotated[Path | None, typer.Option("--plot", help="A picture of the result: .png, .svg, .pdf.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="A page of the result for a browser, OUT.html.")
+    ] = None,
     merged_map: Annotated[
         Path | None, typer.Option("--map", help="The merged map as a map again, OUT.map.json.")
     ] = None,
@@ -51,6 +67,8 @@ def fuse_files(
     config: Annotated[
         Path | None, typer.Option("--config", metavar="FILE", help="Parameters; see `mapfuse config`.")
     ] = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Fuse recorded maps, whose relative start is unknown, and say how sure the answer is.
 
@@ -59,15 +77,18 @@ def fuse_files(
     if len(maps) < 2:
         raise UsageError("give at least two maps to fuse")
     check_picture("--plot", plot)
-    check_outputs({"-o": output, "--plot": plot, "--map": merged_map}, [*maps, *([config] if config else [])])
-    warn_on_stderr()
+    check_page("--report", report)
+    outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map}
+    check_outputs(outputs, [*maps, *([config] if config else [])])
+    warn_on_stderr(verbose=verbose)
     settings = _settings(config, accept, overlap_prior, mode)
     recorded = read_maps(maps)
 
     from mapfuse.fusion import fuse
 
-    fused = fuse(recorded, settings)
-    _write(fused, output, plot, merged_map, as_json=as_json, embed=not no_embed)
+    with stages("fusing", quiet=quiet):
+        fused = fuse(recorded, settings)
+    _write(fused, outputs, as_json=as_json, embed=not no_embed, quiet=quiet)
     if require_merge and fused.decision != "merged":
         raise typer.Exit(3)
 
@@ -114,20 +135,24 @@ def read_maps(paths: Sequence[Path]) -> list[LandmarkMap]:
     return maps
 
 
-def _write(
-    fused: FusedMap, output: Path | None, plot: Path | None, merged_map: Path | None, *, as_json: bool, embed: bool
-) -> None:
+def _write(fused: FusedMap, outputs: Mapping[str, Path | None], *, as_json: bool, embed: bool, quiet: bool) -> None:
+    """All that was asked for; ``outputs``: option -> file."""
     from mapfuse.datasets import write_map
     from mapfuse.fusion import write_fused
 
     one_frame = fused.decision == "merged"
-    if output is not None:
+    if (output := outputs["-o"]) is not None:
         write_fused(fused, output, embed)
-    if plot is not None:
+    if (plot := outputs["--plot"]) is not None:
         from mapfuse.fusion.show import draw_fused
 
         with writing(plot):
             draw_fused(fused, plot)
+    if (report := outputs["--report"]) is not None:
+        from mapfuse.fusion.report import fused_report
+
+        fused_report(fused, report)
+    merged_map = outputs["--map"]
     if merged_map is not None and one_frame:
         write_map(fused.to_map(), merged_map)
     if as_json:
@@ -135,11 +160,11 @@ def _write(
         from mapfuse.fusion.fusedfile import fused_to_dict
 
         say_bytes(encode(fused_to_dict(fused, embed)))
-    else:
+    elif not quiet:
         from .summary import summarise
 
         say(summarise(fused))
-        for path in (output, plot, merged_map if one_frame else None):
+        for path in (output, plot, report, merged_map if one_frame else None):
             if path is not None:
                 say(f"wrote {path}")
     if merged_map is not None and not one_frame:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 Item = TypeVar("Item")
 #: The line is told of its progress every so many items.
@@ -15,16 +19,57 @@ _STEP = 2000
 @contextmanager
 def progress(label: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
     """Gives a function to call with the work done since the last call; ``total`` None: it is counted only."""
-    if sys.stderr is None or not sys.stderr.isatty():
+    if not _on_terminal():
         yield lambda _: None
         return
+    with _bar() as bar:
+        task = bar.add_task(label, total=total)
+        yield lambda done: bar.advance(task, done)
+
+
+@contextmanager
+def stages(label: str, *, quiet: bool = False) -> Iterator[None]:
+    """Shows on a terminal how far the block's work has come, as the library tells its log (`mapfuse.fusion.told`)."""
+    if quiet or not _on_terminal():
+        yield
+        return
+    with _bar() as bar, _listening(bar, label):
+        yield
+
+
+@contextmanager
+def _listening(bar: Progress, label: str) -> Iterator[None]:
+    task = bar.add_task(label, total=None)
+    logger = logging.getLogger("mapfuse.fusion.told")
+    level = logger.level
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            done, total = getattr(record, "done", 0), getattr(record, "total", 1)
+            # the last step is followed by work that nobody counts
+            shown = {"completed": done, "total": total} if done < total else {"completed": 0, "total": None}
+            bar.update(task, description=f"{label}: {record.getMessage()}", **shown)
+
+    listener = Listener()
+    logger.addHandler(listener)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(listener)
+        logger.setLevel(level)
+
+
+def _on_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def _bar() -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=total)
-        yield lambda done: bar.advance(task, done)
+    return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
 def watched(items: Iterable[Item], label: str, total: float | None = None) -> Iterator[Item]:

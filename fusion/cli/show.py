@@ -1,80 +1,188 @@
-"""``mapfuse show``: a picture of a map, a result or a log."""
+"""``mapfuse show``: a picture or a page of a map, a result, a pair of it, a log or a building."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import check_outputs, check_picture, say, warn_on_stderr, writing
+from .console import (
+    Quiet,
+    UsageError,
+    Verbose,
+    check_outputs,
+    check_page,
+    check_picture,
+    note,
+    say,
+    warn_on_stderr,
+    writing,
+)
 from .progress import watched
+
+if TYPE_CHECKING:
+    from mapfuse.datasets.logs import LogHeader
+    from mapfuse.datasets.maps import LandmarkMap
+    from mapfuse.fusion.result import FusedMap
+    from mapfuse.fusion.show.log_page import Drive
 
 #: The first line of a log isn't longer [bytes].
 _HEAD_BYTES = 2**20
+_ENDINGS = (".fused.json", ".map.json", ".geojson", ".json", ".log.jsonl.gz", ".log.jsonl", ".jsonl")
 
 
 def show(
-    file: Annotated[Path, typer.Argument(help="A recorded map, a fused map or a log.", metavar="FILE")],
+    file: Annotated[
+        Path, typer.Argument(help="A recorded map, a fused map, a log, or a building's plan (GeoJSON).", metavar="FILE")
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="The picture (.png, .svg, .pdf); by default FILE's name with .png."),
+        typer.Option(
+            "-o", "--output", help="The picture (.png, .svg, .pdf) or page; by default FILE's name with .png or .html."
+        ),
     ] = None,
+    *,
+    html: Annotated[bool, typer.Option("--html", help="A page for a browser instead of a picture.")] = False,
+    solid: Annotated[
+        bool,
+        typer.Option("--3d", help="A window in which maps lie one above the other; with -o OUT.ply a file of it."),
+    ] = False,
+    pair: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--pair", metavar="MAP MAP", help="Of a fused map: how these two of its maps can lie."),
+    ] = None,
+    corridors: Annotated[
+        Path | None,
+        typer.Option("--corridors", metavar="FILE", help="Of a plan: a second file, that has its corridors."),
+    ] = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Draw a recorded map, a fused map, or a log with its truth where that stands beside it."""
-    picture = output if output is not None else Path(_stem(file) + ".png")
-    check_picture("-o", picture)
-    check_outputs({"-o": picture}, [file])
+    """Draw a recorded map, a fused map, a building, or a log with its truth where that stands beside it."""
+    if html and solid:
+        raise UsageError("--html and --3d: give one of them")
+    if solid:
+        from .solid import show_solid
 
-    warn_on_stderr()
-    if _is_log(file):
-        _show_log(file, picture)
-    elif _format_of(file).startswith("mapfuse.fused/"):
-        from mapfuse.fusion import read_fused
-        from mapfuse.fusion.show import draw_fused
-
-        from .summary import summarise
-
-        fused = read_fused(file)
-        with writing(picture):
-            draw_fused(fused, picture)
-        say(summarise(fused))
+        show_solid(file, output, quiet=quiet, verbose=verbose)
+        return
+    if output is not None and output.suffix.lower() in (".html", ".htm"):
+        html = True
+    target = output if output is not None else Path(_stem(file) + (".html" if html else ".png"))
+    (check_page if html else check_picture)("-o", target)
+    check_outputs({"-o": target}, [file])
+    warn_on_stderr(verbose=verbose)
+    if is_log(file):
+        if pair:
+            raise UsageError("--pair: a log has no pairs of maps")
+        said = _show_log(file, target, html=html)
     else:
-        from mapfuse.datasets import read_map
+        said = _show_document(file, target, pair, corridors, html=html)
+    if not quiet:
+        say(said)
+        say(f"wrote {target}")
+
+
+def _show_document(
+    file: Path, target: Path, pair: tuple[str, str] | None, corridors: Path | None, *, html: bool
+) -> str:
+    found = format_of(file)
+    if found.startswith("mapfuse.fused/"):
+        from mapfuse.fusion import read_fused
+
+        return _show_fused(read_fused(file), target, pair, html=html)
+    if pair:
+        raise UsageError(f"--pair: {file} is no fused map")
+    if file.suffix.lower() == ".geojson":
+        return _show_plan(file, target, corridors, html=html)
+    from mapfuse.datasets import read_map
+
+    return _show_map(read_map(file), target, html=html)
+
+
+def _show_fused(fused: FusedMap, target: Path, pair: tuple[str, str] | None, *, html: bool) -> str:
+    from .summary import summarise
+
+    if html:
+        from mapfuse.fusion.report import fused_report
+
+        if pair:
+            note("--pair: the page shows all pairs")
+        fused_report(fused, target)
+        return summarise(fused)
+    from mapfuse.fusion.show import draw_fused, draw_pair
+
+    with writing(target):
+        if pair:
+            draw_pair(fused, pair, target)
+        else:
+            draw_fused(fused, target)
+    return summarise(fused)
+
+
+def _show_map(map_: LandmarkMap, target: Path, *, html: bool) -> str:
+    if html:
+        from mapfuse.fusion.report import map_report
+
+        map_report(map_, target)
+    else:
         from mapfuse.fusion.show import draw_map
 
-        map_ = read_map(file)
-        with writing(picture):
-            draw_map(map_, picture)
-        say(f"{map_.name}: {len(map_)} landmarks")
-    say(f"wrote {picture}")
+        with writing(target):
+            draw_map(map_, target)
+    return f"{map_.name}: {len(map_)} landmarks"
+
+
+def _show_plan(file: Path, target: Path, corridors: Path | None, *, html: bool) -> str:
+    from mapfuse.datasets.simulation import building_from_plan
+    from mapfuse.fusion.show import draw_building
+
+    if html:
+        raise UsageError("--html: a building has no page; give -o OUT.png, .svg or .pdf")
+    building = building_from_plan(file, corridors)
+    with writing(target):
+        draw_building(building, (), target, title=f"{building.name}: the plan of a building")
+    return f"{building.name}: {len(building.floor.places)} landmarks, {len(building.walls)} walls"
 
 
 def _stem(file: Path) -> str:
-    for ending in (".fused.json", ".map.json", ".json", ".log.jsonl.gz", ".log.jsonl", ".jsonl"):
+    for ending in _ENDINGS:
         if file.name.endswith(ending):
             return file.name.removesuffix(ending)
     return file.name
 
 
-def _show_log(file: Path, picture: Path) -> None:
+def _show_log(file: Path, target: Path, *, html: bool) -> str:
+    header, drive, beside = _drive(file)
+    simulated = bool(header.extra.get("simulated"))
+    if html:
+        from mapfuse.fusion.report import log_report
+
+        log_report(header, drive, target, simulated=simulated)
+    else:
+        from mapfuse.fusion.show import draw_log
+
+        with writing(target):
+            draw_log(header, drive, target, simulated=simulated)
+    said = f"{header.name}: {drive.journey.events} events, {len(drive.journey.detections)} detections"
+    return said if drive.truth is None else f"{said}; with the truth from {beside}"
+
+
+def _drive(file: Path) -> tuple[LogHeader, Drive, Path]:
+    """A log as a drive, with its truth where that stands beside it."""
     from mapfuse.datasets.logfile import read_log
     from mapfuse.datasets.logtruth import read_log_truth
-    from mapfuse.fusion.show import draw_log
     from mapfuse.fusion.show.journey import journey
     from mapfuse.fusion.show.log_page import Drive
 
     log = read_log(file)
     beside = file.with_name(_stem(file) + ".logtruth.json")
     truth = read_log_truth(beside) if beside.is_file() else None
-    drive = Drive(log.header.name, journey(watched(log.events, "reading")), truth)
-    with writing(picture):
-        draw_log(log.header, drive, picture, simulated=bool(log.header.extra.get("simulated")))
-    said = f"{log.header.name}: {drive.journey.events} events, {len(drive.journey.detections)} detections"
-    say(said if truth is None else f"{said}; with the truth from {beside}")
+    return log.header, Drive(log.header.name, journey(watched(log.events, "reading")), truth), beside
 
 
-def _is_log(file: Path) -> bool:
+def is_log(file: Path) -> bool:
     """Whether a file holds a log: lines of JSON of which the first one says so, or anything compressed."""
     try:
         with file.open("rb") as stream:
@@ -84,7 +192,7 @@ def _is_log(file: Path) -> bool:
     return line[:2] == b"\x1f\x8b" or _format(line).startswith("mapfuse.log/")
 
 
-def _format_of(file: Path) -> str:
+def format_of(file: Path) -> str:
     """The file's own word for its format, empty where it has none: the reader of maps then says what is wrong."""
     from mapfuse.datasets.files import read_whole
 

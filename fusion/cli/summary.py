@@ -10,6 +10,7 @@ import numpy as np
 
 from mapfuse.datasets.transform import Transform
 from mapfuse.fusion.result import FusedMap, PairResult
+from mapfuse.fusion.show.words import percent
 
 #: Rivals beyond these, or less probable than this, are counted, not listed.
 _LISTED, _WORTH_LISTING = 8, 1e-4
@@ -30,19 +31,6 @@ def _headline(pair: PairResult) -> str:
         return f"no overlap: {percent(pair.no_overlap_probability)}, nothing was merged"
     best = f"the likeliest of {len(pair.hypotheses)} placements has {percent(pair.probability)}"
     return f"ambiguous: {best}, nothing was merged"
-
-
-def percent(probability: float) -> str:
-    """A probability in percent; nothing that a computer weighed is quite 0 or 100.
-
-    >>> percent(0.9983), percent(0.99999999), percent(1e-9), percent(0.5)
-    ('99.83 %', '> 99.99 %', '< 0.01 %', '50 %')
-    """
-    if probability > 0.9999:
-        return "> 99.99 %"
-    if probability < 0.0001:
-        return "< 0.01 %"
-    return f"{100 * probability:.4g} %"
 
 
 def _pair(pair: PairResult, *, named: bool) -> str:

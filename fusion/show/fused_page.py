@@ -10,9 +10,9 @@ import numpy as np
 from mapfuse.datasets.maps import LandmarkMap
 
 from ..result import FusedMap, PairResult, RankedHypothesis
-from .labels import probability_text, shortened, transform_text
 from .layout import MAX_SOURCES, Panel
 from .scene import Scene, laid_together, scene_of_group, scene_of_map
+from .words import probability_text, shortened, transform_text
 
 #: So many rivals of an ambiguous pair are drawn, merged groups likewise; the text names how many there are.
 MAX_RIVALS, MAX_GROUPS, MAX_FACTS = 3, 4, 5
@@ -76,6 +76,17 @@ def fused_page(fused: FusedMap) -> Page:
     return Page(_title(fused), fused.maps, _facts(fused), _source_panels(fused), mains, statement, notes)
 
 
+def pair_page(fused: FusedMap, pair: PairResult) -> Page:
+    """The page of one pair of a result: both maps, and the best placements side by side, whatever was decided."""
+    mains = _rival_panels(fused, pair)
+    shown = tuple(panel for panel in _source_panels(fused, pair.maps))
+    none = f"probability of no overlap {probability_text(pair.no_overlap_probability)}"
+    title = f"{_joined(pair.maps)}: {pair.decision.replace('_', ' ')}"
+    overruled = f" (overruled by {', '.join(map(shortened, pair.overruled_by))})" if pair.overruled_by else ""
+    statement = None if mains else "The placements can't be drawn: there are none, or the maps aren't embedded."
+    return Page(title, fused.maps, (none,), shown, mains, statement, (f"{pair.reason}{overruled}",))
+
+
 def _title(fused: FusedMap) -> str:
     names = _joined(fused.maps) if len(fused.maps) <= 4 else counted(len(fused.maps), "map")
     origin = _origin(list(fused.sources.values()))
@@ -109,8 +120,9 @@ def _facts(fused: FusedMap) -> tuple[str, ...]:
     return (*facts[:MAX_FACTS], *([f"and {counted(more, 'map')} more"] if more > 0 else []))
 
 
-def _source_panels(fused: FusedMap) -> tuple[Panel, ...]:
-    shown = [(k, name) for k, name in enumerate(fused.maps) if name in fused.sources][:MAX_SOURCES]
+def _source_panels(fused: FusedMap, among: Sequence[str] | None = None) -> tuple[Panel, ...]:
+    wanted = fused.maps if among is None else among
+    shown = [(k, name) for k, name in enumerate(fused.maps) if name in fused.sources and name in wanted][:MAX_SOURCES]
     return tuple(
         Panel(
             f"{shortened(name)}, in its own frame: {counted(len(fused.sources[name]), 'landmark')}",

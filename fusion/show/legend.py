@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.lines import Line2D
 
 from .backdrop import Backdrop
-from .labels import shortened
 from .layout import Panel
 from .panel import look
 from .scene import COMMON_OWNER, Scene
 from .style import ALARM, BUILDING, GREY, INK, MAPPED, MARKER_FROM_KIND, ODOMETRY, SENSED, WALL, LineStyle
+from .words import shortened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

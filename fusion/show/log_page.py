@@ -17,9 +17,9 @@ from mapfuse.datasets.truth import Truth
 from .backdrop import backdrop
 from .fused_page import Page, counted
 from .journey import Journey
-from .labels import shortened
 from .layout import Panel
 from .scene import scene_of_map
+from .words import shortened
 
 if TYPE_CHECKING:
     from mapfuse.datasets.simulation.building import Building
@@ -48,8 +48,7 @@ def log_page(header: LogHeader, drive: Drive, *, simulated: bool = False) -> Pag
     length = f"{journey.length:.0f} m in {_time(journey.duration)}" if len(journey.odometry) else "no odometry"
     title = f"{shortened(header.name)}: {what}{robot}, {length}"
     facts = [f"{counted(journey.events, 'event')}, {counted(len(journey.detections), 'detection')}"]
-    where = "in the world" if drive.truth is not None else "in the frame of the robot's start"
-    panel = _panel(drive, where)
+    panel = log_panel(drive)
     return Page(title, (drive.map.name if drive.map else header.name,), tuple(facts), mains=(panel,))
 
 
@@ -80,6 +79,11 @@ def building_page(
 
 def _map_name(drive: Drive) -> str:
     return drive.name if drive.map is None else drive.map.name
+
+
+def log_panel(drive: Drive) -> Panel:
+    """One drive with what is known of it, in the world where there is a truth, else in the frame of its start."""
+    return _panel(drive, "in the world" if drive.truth is not None else "in the frame of the robot's start")
 
 
 def _panel(drive: Drive, said: str, building: Building | None = None, k: int = 0) -> Panel:

@@ -59,6 +59,28 @@ def draw_fused(
         return draw_page(fused_page(fused), path, ids=ids, ellipse_scale=ellipse_scale, dpi=dpi)
 
 
+def draw_pair(
+    fused: FusedMap,
+    maps: tuple[str, str] | None = None,
+    path: str | Path | None = None,
+    *,
+    ellipse_scale: float = 1.0,
+    dpi: float = 150.0,
+) -> Figure:
+    """A page that shows one pair of a result: both maps, and the best placements of the second on the first.
+
+    ``maps``: the pair's names in either order, by default those of the first pair. Raises ConfigError where there is
+    no such pair; other parameters, errors and file as for `draw_fused`.
+    """
+    from .fused_page import pair_page
+    from .page import draw_page
+    from .plots import pair_of
+
+    with _any_script():
+        page = pair_page(fused, pair_of(fused, maps))
+        return draw_page(page, path, ids=None, ellipse_scale=ellipse_scale, dpi=dpi)
+
+
 def draw_map(
     map_: LandmarkMap,
     path: str | Path | None = None,

@@ -75,7 +75,16 @@ def merged() -> FusedMap:
         walls=(np.array([[1.0, 0.0], [2.0, 0.0], [2.0, 1.0]]),), path=np.array([[5.0, 1.0, 2.0, 3.0]]),
     )  # fmt: skip
     hypotheses = (
-        RankedHypothesis(T12, 11, 41.2, 0.998, {"tried": 3, "T12": {"unit": "m"}}),
+        RankedHypothesis(
+            T12,
+            11,
+            41.2,
+            0.998,
+            {"tried": 3, "T12": {"unit": "m"}},
+            correspondences=(("c", "c4"),),
+            missed={"D7": ("d",), "D9": ()},
+            evidence={"matches": 45.0, "misses": -3.8},
+        ),
         RankedHypothesis(Transform(9.0, 1.0, 0.1, np.eye(3)), 4, 1.2, 0.0015),
     )
     pair = PairResult(
@@ -228,7 +237,15 @@ def drop(*place: str | int) -> Spoil:
 INDEFINITE = [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 LINK_TARGET = "landmarks[0].links[0].connected_to_id"
+HYPOTHESIS = ("pairs", 0, "hypotheses", 0)
 BAD: list[tuple[Spoil, str, str]] = [
+    (put(*HYPOTHESIS, "evidence", value={"matches": "many"}), "pairs[0].hypotheses[0].evidence.matches", "number"),
+    (put(*HYPOTHESIS, "evidence", value=[1.0]), "pairs[0].hypotheses[0].evidence", "object of names and nats"),
+    (put(*HYPOTHESIS, "correspondences", value=[["c1"]]), "pairs[0].hypotheses[0].correspondences[0]", "two landmark"),
+    (put(*HYPOTHESIS, "correspondences", value=[["c1", "x"]]), "pairs[0].correspondences", "not those of the first"),
+    (put(*HYPOTHESIS, "missed", value={"D7": "c1"}), "pairs[0].hypotheses[0].missed.D7", "list"),
+    (put(*HYPOTHESIS, "missed", value={"D8": []}), "pairs[0].hypotheses[0].missed.D8", "none of the pair's maps"),
+    (put(*HYPOTHESIS, "missed", value={"D7": ["q"]}), "pairs[0].hypotheses[0].missed.D7[0]", "no landmark of"),
     (put("format", value="mapfuse.fused/2"), "format", "newer"),
     (put("format", value="mapfuse.map/1"), "format", "recorded map"),
     (put("format", value=7), "format", "must be"),
