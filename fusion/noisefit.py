@@ -2,8 +2,8 @@
 
 Variance components (Helmert 1907; Foerstner 1979): if its sigmas are true, the squared whitened residuals of one map's
 measurements add up to their redundancy, the number of measured values less what the solution fits of them; to s^2
-times that, if all are s times larger. The redundancy of a measurement is the number of its independent readings less the
-trace of ``J Sigma J'``, its whitened Jacobian around the covariance of the solution.
+times that, if all are s times larger. The redundancy of a measurement is the number of its independent readings less
+the trace of ``J Sigma J'``, its whitened Jacobian around the covariance of the solution.
 """
 
 from __future__ import annotations
@@ -17,7 +17,15 @@ from scipy.sparse import csr_array
 from scipy.stats import chi2 as chi_square
 
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap
-from mapfuse.factors import FrameAnchor, HeadingPrior, JointMeasurement, LinkMeasurement, RangeMeasurement
+from mapfuse.factors import (
+    FrameAnchor,
+    HeadingPrior,
+    JointMeasurement,
+    LandmarkKey,
+    LinkMeasurement,
+    Measurement,
+    RangeMeasurement,
+)
 from mapfuse.factors.axes import pose_rotations
 
 from .solve import Solution
@@ -61,7 +69,7 @@ class NoiseFit:
         """Bounds between which the scale lies with 95 %."""
         if self.redundancy < LEAST_REDUNDANCY:
             return 0.0, float("inf")
-        low, high = chi_square.ppf((0.975, 0.025), self.redundancy)
+        low, high = (float(chi_square.ppf(p, self.redundancy)) for p in (0.975, 0.025))
         return self.used * float(np.sqrt(self.chi2 / low)), self.used * float(np.sqrt(self.chi2 / high))
 
     @property
@@ -100,11 +108,16 @@ def noise_fits(solution: Solution) -> tuple[NoiseFit, ...]:
     chi2, redundancy = np.zeros(len(problem.maps)), np.zeros(len(problem.maps))
     for measurement, end, count in zip(problem.measurements, ends, np.diff(ends, prepend=0), strict=True):
         if isinstance(measurement, _OF_ONE_MAP):
-            r = measurement.unknowns[0].map
+            r = _map_of(measurement)
             of_it = slice(end - count, end)
             chi2[r] += squares[of_it].sum()
             redundancy[r] += measurement.readings - fitted[of_it].sum()
     return tuple(NoiseFit(float(c), float(max(n, 0.0))) for c, n in zip(chi2, redundancy, strict=True))
+
+
+def _map_of(measurement: Measurement) -> int:
+    """The map that a measurement is of."""
+    return next(unknown.map for unknown in measurement.unknowns if isinstance(unknown, LandmarkKey))
 
 
 def _fitted(J: csr_array, solution: Solution, thetas: Array) -> Array:
