@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import heading_of
-from mapfuse.datasets.maps import Landmark, LandmarkMap
 from mapfuse.factors import pair_problem
 from mapfuse.matching.hypothesis import Hypothesis
 from mapfuse.matching.modes import displacement
@@ -44,24 +42,6 @@ class PairOutcome:
     background: Background
     verdict: Verdict
     solutions: dict[int, Solution]
-
-
-def straightened(m: PreparedMap) -> LandmarkMap:
-    """The recorded map with positions and arm headings at its own optimum, for the matcher."""
-    landmarks = []
-    for landmark, (x, y), heading in zip(m.map.landmarks, m.positions, m.headings, strict=True):
-        turn = 0.0 if np.isnan(heading) else float(heading) - (heading_of(landmark) or 0.0)
-        landmarks.append(_turned(replace(landmark, x=float(x), y=float(y)), turn))
-    return m.map.replace(landmarks=tuple(landmarks))
-
-
-def _turned(landmark: Landmark, turn: float) -> Landmark:
-    links = tuple(
-        link if link.heading is None else replace(link, heading=float(se2.wrap(link.heading + turn)))
-        for link in landmark.links
-    )
-    heading = None if landmark.heading is None else float(se2.wrap(landmark.heading + turn))
-    return replace(landmark, links=links, heading=heading)
 
 
 def grow_all(
@@ -152,7 +132,7 @@ def _decided(weighed: list[Weighed], background: Background, config: FuseConfig)
 def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutcome:
     """Propose, grow, weigh, solve, decide."""
     background = Background(m1, m2)
-    hypotheses = propose(straightened(m1), straightened(m2), config.matching)
+    hypotheses = propose(m1.straightened, m2.straightened, config.matching)
     known = known_pairs(m1.map, m2.map)
     grown = grow_all(m1, m2, hypotheses, config.solving, known)
     weighed = [credited(weigh(g, background, config.evidence), known) for g in grown]
