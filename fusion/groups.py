@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from itertools import combinations
@@ -26,17 +26,23 @@ from .far import middle, put_back, shifted
 from .joint import referred_to
 from .members import Emptiness, Members
 from .merge import Place, merged_landmarks
+from .noisefit import noise_fits, scaled
 from .pairresult import mixture, pair_result
 from .pairwise import compare
 from .prepared import PreparedMap, prepare
-from .result import Decision, Frame, FusedLandmark, FusedMap, PairResult
+from .result import Decision, Frame, FusedLandmark, FusedMap, NoiseFit, PairResult
 from .settle import settled
+from .solve import Solution
 from .told import told
 
 Array = NDArray[np.float64]
 
 #: A map that reaches further than this [m] from its middle is refused.
 LARGEST_MAP_M = 1e6
+
+#: How often maps are fused again with the noise that their residuals speak for, and by how much [log] two scales may
+#: differ and be the same.
+NOISE_ROUNDS, SAME_SCALE = 3, 0.03
 
 AT_HOME = Transform(0.0, 0.0, 0.0, np.zeros((3, 3)))
 
@@ -63,11 +69,23 @@ def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> Fused
     _check(maps)
     origins = {m.name: middle(m) for m in maps}
     near = tuple(shifted(m, origins[m.name]) for m in maps)
-    return put_back(_fuse(near, _provenance(maps, config), config), maps, origins, mixture)
+    provenance = _provenance(maps, config)
+    scales = dict.fromkeys(origins, 1.0)
+    fused = _fuse(near, scales, provenance, config)
+    for _ in range(NOISE_ROUNDS if config.solving.estimate_noise else 0):
+        before, scales = scales, {name: fit.estimate for name, fit in fused.noise.items()}
+        if all(abs(np.log(scales[name] / before[name])) < SAME_SCALE for name in scales):
+            break
+        fused = _fuse(near, scales, provenance, config)
+    return put_back(fused, maps, origins, mixture)
 
 
-def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: FuseConfig) -> FusedMap:
-    prepared = {m.name: prepare(m, config.solving, np.deg2rad(config.evidence.corridor_angle_deg)) for m in maps}
+def _fuse(
+    maps: tuple[LandmarkMap, ...], scales: Mapping[str, float], provenance: dict[str, Any], config: FuseConfig
+) -> FusedMap:
+    """Fuse maps whose stated standard deviations are multiplied by ``scales``, by name."""
+    angle = np.deg2rad(config.evidence.corridor_angle_deg)
+    prepared = {m.name: prepare(scaled(m, scales[m.name]), config.solving, angle) for m in maps}
     # one order of work whatever the order of input, so that the answer is the same to the last digit
     pairs = list(combinations(sorted(prepared), 2))
     comparisons = {
@@ -80,6 +98,7 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
     rank = {name: k for k, name in enumerate(names)}
     groups: list[_Group] = []
     frames: dict[str, Frame] = {}
+    noise: dict[str, NoiseFit] = {}
     for members in sorted(choice.groups, key=lambda group: min(rank[name] for name in group)):
         listed = tuple(sorted(members, key=rank.__getitem__))
         before = sum(len(group.landmarks) for group in groups)
@@ -87,8 +106,10 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
         if joint is None:
             groups.append(_alone(prepared[listed[0]], len(groups), before))
             frames[listed[0]] = Frame(len(groups) - 1, AT_HOME)
+            noise |= _noise(listed, prepared[listed[0]].solution, scales)
             continue
         joint = referred_to(joint, members.index(listed[0]), config.solving)
+        noise |= _noise(members, joint.solution, scales)
         group = Members(members, joint, comparisons, choice, emptiness)
         groups.append(_merged(group, listed, len(groups), before))
         for name in listed:
@@ -100,7 +121,15 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
     )
     decision, probability = _overall(results, choice)
     frames = {name: frames[name] for name in names}
-    return _result(maps, decision, probability, results, groups, frames, provenance)
+    noise = {name: noise[name] for name in names}
+    return _result(maps, decision, probability, results, groups, frames, noise, provenance)
+
+
+def _noise(names: Sequence[str], solution: Solution | None, scales: Mapping[str, float]) -> dict[str, NoiseFit]:
+    """How the maps of a solution fit the noise that they state; an empty map has none."""
+    if solution is None:
+        return {name: NoiseFit(0.0, 0.0) for name in names}
+    return dict(zip(names, noise_fits(solution, [scales[name] for name in names]), strict=True))
 
 
 def _overall(pairs: Sequence[PairResult], choice: Choice) -> tuple[Decision, float]:
@@ -154,6 +183,7 @@ def _result(
     pairs: tuple[PairResult, ...],
     groups: Sequence[_Group],
     frames: dict[str, Frame],
+    noise: dict[str, NoiseFit],
     provenance: dict[str, Any],
 ) -> FusedMap:
     return FusedMap(
@@ -166,6 +196,7 @@ def _result(
         landmarks=tuple(landmark for group in groups for landmark in group.landmarks),
         provenance=provenance,
         sources={m.name: m for m in maps},
+        noise=noise,
         joint_covariances=tuple(group.joint for group in groups),
     )
 

@@ -63,6 +63,10 @@ def fuse_files(
         float | None,
         typer.Option("--overlap-prior", metavar="P", help="Probability, before looking, of overlap (0.5)."),
     ] = None,
+    estimate_noise: Annotated[
+        bool,
+        typer.Option("--estimate-noise", help="Use the noise that each map's own residuals speak for."),
+    ] = False,
     mode: Annotated[Mode | None, typer.Option("--mode", help="How hypotheses are proposed.")] = None,
     config: Annotated[
         Path | None, typer.Option("--config", metavar="FILE", help="Parameters; see `mapfuse config`.")
@@ -81,7 +85,7 @@ def fuse_files(
     outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map}
     check_outputs(outputs, [*maps, *([config] if config else [])])
     warn_on_stderr(verbose=verbose)
-    settings = _settings(config, accept, overlap_prior, mode)
+    settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise)
     recorded = read_maps(maps)
 
     from mapfuse.fusion import fuse
@@ -93,7 +97,9 @@ def fuse_files(
         raise typer.Exit(3)
 
 
-def _settings(config: Path | None, accept: float | None, overlap_prior: float | None, mode: Mode | None) -> FuseConfig:
+def _settings(
+    config: Path | None, accept: float | None, overlap_prior: float | None, mode: Mode | None, *, estimate_noise: bool
+) -> FuseConfig:
     from mapfuse.fusion.config import FuseConfig
 
     settings = FuseConfig()
@@ -105,6 +111,8 @@ def _settings(config: Path | None, accept: float | None, overlap_prior: float | 
         settings = replace(settings, decision=replace(settings.decision, accept=accept))
     if overlap_prior is not None:
         settings = replace(settings, decision=replace(settings.decision, overlap_prior=overlap_prior))
+    if estimate_noise:
+        settings = replace(settings, solving=replace(settings.solving, estimate_noise=True))
     if mode is not None:
         settings = replace(settings, matching=replace(settings.matching, mode=mode.value))
     return settings
