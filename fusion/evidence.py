@@ -62,7 +62,8 @@ class Weighed:
     ``apart`` [nats]: what tells it from an alias of the right place whatever is missing: blocked arms and compass.
     ``lacking`` (6,): what is there and what is missing, as the odds of an alias that lacks each of
     `mapfuse.fusion.repetition.LACKING`. ``missed1``, ``missed2``: landmarks of map 1, map 2 that the other robot passed
-    without recording them.
+    without recording them; ``through1``, ``through2``: how many blocked arms of each of these it drove through
+    (`mapfuse.fusion.passing.Passing`).
     """
 
     growth: Growth
@@ -71,6 +72,8 @@ class Weighed:
     lacking: Array
     missed1: tuple[int, ...]
     missed2: tuple[int, ...]
+    through1: tuple[int, ...] = ()
+    through2: tuple[int, ...] = ()
 
     @property
     def log_odds(self) -> float:
@@ -127,4 +130,5 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
         lacking_odds(hits, gone),
         tuple(way.missed1.tolist()),
         tuple(way.missed2.tolist()),
+        *way.of_missed,
     )

@@ -30,7 +30,8 @@ class Candidate:
     """One way to lay map 2 on map 1.
 
     ``matches``: places (in map 1, in map 2) of the landmarks that are then the same. ``missed1``, ``missed2``:
-    landmarks that the other robot passed unrecorded.
+    landmarks that the other robot passed unrecorded; ``through1``, ``through2``: through how many of their blocked arms
+    it drove (`mapfuse.fusion.passing.Passing`).
     """
 
     T12: Transform
@@ -38,6 +39,8 @@ class Candidate:
     terms: Terms
     missed1: tuple[int, ...] = ()
     missed2: tuple[int, ...] = ()
+    through1: tuple[int, ...] = ()
+    through2: tuple[int, ...] = ()
 
     @property
     def log_odds(self) -> float:
@@ -95,4 +98,4 @@ def _candidate(outcome: PairOutcome, rank: int, w: Weighed) -> Candidate:
     else:
         T12 = Transform.from_array(joined.T12, joined.T12_covariance)
     matches = tuple(zip(joined.i.tolist(), joined.j.tolist(), strict=True))
-    return Candidate(T12, matches, w.terms, w.missed1, w.missed2)
+    return Candidate(T12, matches, w.terms, w.missed1, w.missed2, w.through1, w.through2)

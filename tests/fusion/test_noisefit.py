@@ -33,7 +33,8 @@ def solved(seed, stated=1.0):
 
 def test_two_readings_of_one_distance_by_hand():
     # a and b, 10 m apart along x, recorded from either end as 10.3 and 9.9 m: two readings of one number, of which one
-    # is redundant. Each has sigma 0.1 + 0.02 d, so their difference squared over the sum of their variances is what is left over.
+    # is redundant. Each has sigma 0.1 + 0.02 d, so their difference squared over the sum of their variances is what is
+    # left over.
     a = Landmark("a", "door", 0.0, 0.0, links=(Link("open", 0.0, None, "b", 10.3, 1),))
     b = Landmark("b", "door", 10.0, 0.0, links=(Link("open", np.pi, None, "a", 9.9, 1),))
     (fit,) = noise_fits(solve(single_map_problem(LandmarkMap("m", (a, b))), SOLVING))
