@@ -141,6 +141,8 @@ def _optimum(problem: Problem, rejected: Sequence[Correspondence] = ()) -> Solut
                 break
             values, steps = _levenberg_marquardt(graph, values, 1e-10)
             iterations += steps
+            if not steps:  # neither finds a way down: what is left is rounding
+                break
         else:
             log.warning("optimum not reached: the last step was still %.2g", last)
     except RuntimeError as error:
