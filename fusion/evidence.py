@@ -36,7 +36,8 @@ class Terms:
     that coincide. ``regular``: what corridor landmarks are worth less in a regular building. ``misses``: landmarks the
     other robot passed and didn't record. ``void``: emptiness both agree on.
     ``arms``: blocked arms that the other robot drove through, or that contradict. ``compass``: agreement of north.
-    ``known``: landmarks that the maps themselves say are the same (``same_as``).
+    ``known``: landmarks that the maps themselves say are the same (``same_as``). ``stated``: agreement with what the
+    user knows of T12 (`mapfuse.fusion.known.KnownTransform`).
     """
 
     prior: float = 0.0
@@ -48,6 +49,7 @@ class Terms:
     arms: float = 0.0
     compass: float = 0.0
     known: float = 0.0
+    stated: float = 0.0
 
     @property
     def total(self) -> float:

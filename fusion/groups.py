@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import combinations
 from typing import Any
@@ -22,8 +22,9 @@ from mapfuse.datasets.transform import Transform
 from .config import FuseConfig
 from .consistent import Choice
 from .existence import existence
-from .far import middle, put_back, shifted
+from .far import carried, middle, put_back, shifted
 from .joint import referred_to
+from .known import KnownTransform, check_known_maps
 from .members import Emptiness, Members
 from .merge import Place, merged_landmarks
 from .noisefit import noise_fits, scaled
@@ -47,13 +48,15 @@ NOISE_ROUNDS, SAME_SCALE = 3, 0.03
 AT_HOME = Transform(0.0, 0.0, 0.0, np.zeros((3, 3)))
 
 
-def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> FusedMap:
+def fuse(
+    maps: Sequence[LandmarkMap], config: FuseConfig | None = None, known: Sequence[KnownTransform] = ()
+) -> FusedMap:
     """Fuse recorded maps, whose relative poses are unknown, into one with its uncertainty.
 
     Every pair is compared; what can be true together is merged into groups, each solved as one graph of landmarks. The
     result does not depend on the order of the maps, up to the choice of reference: a group is in the frame of its
     first map. Maps that are merged with none stand in their own frames. Overlap need not exist: ``decision`` says what
-    the evidence suffices for.
+    the evidence suffices for. ``known``: about where some maps lie in others.
 
     Raises `MapfuseError` for no map, and for two maps of one name; `MapError` for a map that breaks a rule of the
     format; `TooLargeError` where joint covariances would not fit.
@@ -67,21 +70,27 @@ def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> Fused
     config = config or FuseConfig()
     maps = tuple(maps)
     _check(maps)
+    check_known_maps(known, {m.name for m in maps})
     origins = {m.name: middle(m) for m in maps}
+    known = [replace(k, T12=carried(k.T12, *(-origins[name] for name in k.maps))) for k in known]
     near = tuple(shifted(m, origins[m.name]) for m in maps)
     provenance = _provenance(maps, config)
     scales = dict.fromkeys(origins, 1.0)
-    fused = _fuse(near, scales, provenance, config)
+    fused = _fuse(near, scales, known, provenance, config)
     for _ in range(NOISE_ROUNDS if config.solving.estimate_noise else 0):
         before, scales = scales, {name: fit.estimate for name, fit in fused.noise.items()}
         if all(abs(np.log(scales[name] / before[name])) < SAME_SCALE for name in scales):
             break
-        fused = _fuse(near, scales, provenance, config)
+        fused = _fuse(near, scales, known, provenance, config)
     return put_back(fused, maps, origins, mixture)
 
 
 def _fuse(
-    maps: tuple[LandmarkMap, ...], scales: Mapping[str, float], provenance: dict[str, Any], config: FuseConfig
+    maps: tuple[LandmarkMap, ...],
+    scales: Mapping[str, float],
+    known: Sequence[KnownTransform],
+    provenance: dict[str, Any],
+    config: FuseConfig,
 ) -> FusedMap:
     """Fuse maps whose stated standard deviations are multiplied by ``scales``, by name."""
     angle = np.deg2rad(config.evidence.corridor_angle_deg)
@@ -89,7 +98,7 @@ def _fuse(
     # one order of work whatever the order of input, so that the answer is the same to the last digit
     pairs = list(combinations(sorted(prepared), 2))
     comparisons = {
-        (a, b): compare(prepared[a], prepared[b], config, keep_solution=len(pairs) == 1)
+        (a, b): compare(prepared[a], prepared[b], config, known=known, keep_solution=len(pairs) == 1)
         for a, b in told(pairs, "pairs of maps compared")
     }
     emptiness = Emptiness(prepared, config.evidence)

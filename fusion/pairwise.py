@@ -6,6 +6,7 @@ answers, not of their joint covariances.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from mapfuse.datasets.transform import Transform
 from .config import FuseConfig
 from .evidence import Terms, Weighed
 from .growth import Pairs
+from .known import KnownTransform
 from .pair import PairOutcome, fuse_pair
 from .prepared import PreparedMap
 from .reason import reason
@@ -71,10 +73,18 @@ class Comparison:
     solution: Solution | None = None
 
 
-def compare(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, *, keep_solution: bool = False) -> Comparison:
-    """Compare two prepared maps; the answer is the same whichever is given first."""
+def compare(
+    m1: PreparedMap,
+    m2: PreparedMap,
+    config: FuseConfig,
+    *,
+    known: Sequence[KnownTransform] = (),
+    keep_solution: bool = False,
+) -> Comparison:
+    """Compare two prepared maps; the answer is the same whichever is given first. ``known``: what the user knows."""
     first, second = sorted((m1, m2), key=lambda m: m.map.name)
-    outcome = fuse_pair(first, second, config)
+    of_these = [T for stated in known if (T := stated.between(first.map.name, second.map.name)) is not None]
+    outcome = fuse_pair(first, second, config, of_these[0] if of_these else None)
     verdict = outcome.verdict
     return Comparison(
         maps=(first.map.name, second.map.name),

@@ -27,7 +27,7 @@ from .progress import stages
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
-    from mapfuse.fusion import FuseConfig, FusedMap
+    from mapfuse.fusion import FuseConfig, FusedMap, KnownTransform
 
 
 class Mode(StrEnum):
@@ -63,6 +63,18 @@ def fuse_files(
         float | None,
         typer.Option("--overlap-prior", metavar="P", help="Probability, before looking, of overlap (0.5)."),
     ] = None,
+    near: Annotated[
+        list[tuple[str, str, float, float, float, float, float]] | None,
+        typer.Option(
+            "--near",
+            metavar="A B X Y DEG SIGMA_M SIGMA_DEG",
+            help="Map B lies about at X, Y [m], turned by DEG, in map A; and how well that is known.",
+        ),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", metavar="MAP", help="The map of this name is exact, a floor plan for one."),
+    ] = None,
     estimate_noise: Annotated[
         bool,
         typer.Option("--estimate-noise", help="Use the noise that each map's own residuals speak for."),
@@ -88,13 +100,33 @@ def fuse_files(
     settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise)
     recorded = read_maps(maps)
 
-    from mapfuse.fusion import fuse
+    from mapfuse.fusion import as_reference, fuse
 
+    if reference is not None:
+        if reference not in {m.name for m in recorded}:
+            raise UsageError(f"--reference: none of the maps is named {reference!r}")
+        recorded = [as_reference(m) if m.name == reference else m for m in recorded]
     with stages("fusing", quiet=quiet):
-        fused = fuse(recorded, settings)
+        fused = fuse(recorded, settings, _known(near or []))
     _write(fused, outputs, as_json=as_json, embed=not no_embed, quiet=quiet)
     if require_merge and fused.decision != "merged":
         raise typer.Exit(3)
+
+
+def _known(near: Sequence[tuple[str, str, float, float, float, float, float]]) -> list[KnownTransform]:
+    """What ``--near`` says of the maps; raises `UsageError` for a standard deviation that is none."""
+    import numpy as np
+
+    from mapfuse.datasets import Transform
+    from mapfuse.fusion import KnownTransform
+
+    known = []
+    for first, second, x, y, turn, sigma_m, sigma_deg in near:
+        if not (sigma_m > 0 and sigma_deg > 0):
+            raise UsageError("--near: how well it is known (SIGMA_M, SIGMA_DEG) must be greater than 0")
+        variances = np.array([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
+        known.append(KnownTransform((first, second), Transform(x, y, float(np.deg2rad(turn)), np.diag(variances))))
+    return known
 
 
 def _settings(
