@@ -1,7 +1,7 @@
-"""What walls say against a hypothesis: ways through walls, and walls where the other robot saw none.
+"""What walls say against a hypothesis: ways through walls, and sights through walls.
 
-Under a wrong hypothesis one robot drives through the other's walls, or looks at a place where the other map has a wall
-and sees none. Both are lengths and counts of places, after what a map may be wrong by is allowed for.
+Under a wrong hypothesis one robot drives through the other's walls, or sees a wall of its own through one of them. Both
+count only beyond what a map may be wrong by, and walls that a map's own robot drove through count for nothing.
 """
 
 from __future__ import annotations
@@ -23,28 +23,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SpaceConfig:
-    """``margin_m``: a wall counts as crossed, or as missing, only where it is by more than this.
+    """``margin_m``: a wall counts as crossed, or as seen through, only where it is by more than this.
 
-    ``reach_m``: how far from its way a robot sees walls for sure. ``crossing_nats``: what a wall that a way leads
-    through takes off; ``missing_nats_per_m``: a metre of wall that should have been seen; ``most_nats``: all together.
+    ``reach_m``: how far from its way a robot sees walls. ``crossing_nats``: what a wall that a way leads through takes
+    off; ``through_nats_per_m``: a metre of wall that was seen through another one; ``most_nats``: all together. The
+    prices are judgements, to be calibrated where they enter a posterior.
     """
 
     margin_m: float = 0.5
-    reach_m: float = 2.5
+    reach_m: float = 5.0
     crossing_nats: float = 3.0
-    missing_nats_per_m: float = 1.5
+    through_nats_per_m: float = 1.5
     most_nats: float = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class WallEvidence:
-    """``crossed``: walls that a way leads through; ``missing_m``: wall that the other robot should have seen.
+    """``crossed``: walls that a way leads through; ``through_m``: wall that was seen through the other map's walls.
 
     ``nats``: what both take off the log odds of the hypothesis, zero or less.
     """
 
     crossed: int
-    missing_m: float
+    through_m: float
     nats: float
 
 
@@ -64,12 +65,13 @@ def wall_evidence(
     laid = align(map1.walls, map2.walls, T, WallConfig(gate_m=2 * config.margin_m))
     if laid is not None and np.hypot(*(laid.T12 - T)[:2]) < 4 * config.margin_m:
         T = laid.T12
-    walls2 = [se2.transform(T, wall) for wall in map2.walls]
+    walls1 = credible(map1.walls, way1, config.margin_m)
+    walls2 = [se2.transform(T, line) for line in credible(map2.walls, way2, config.margin_m)]
     way2 = se2.transform(T, way2)
-    crossed = crossings(map1.walls, way2, config.margin_m) + crossings(walls2, way1, config.margin_m)
-    missing = missing_walls(map1.walls, walls2, way2, config) + missing_walls(walls2, map1.walls, way1, config)
-    nats = -min(crossed * config.crossing_nats + missing * config.missing_nats_per_m, config.most_nats)
-    return WallEvidence(crossed, missing, nats)
+    crossed = crossings(walls1, way2, config.margin_m) + crossings(walls2, way1, config.margin_m)
+    through = seen_through(walls1, walls2, way2, config) + seen_through(walls2, walls1, way1, config)
+    nats = -min(crossed * config.crossing_nats + through * config.through_nats_per_m, config.most_nats)
+    return WallEvidence(crossed, through, nats)
 
 
 def way_of(map_: LandmarkMap) -> Array:
@@ -118,21 +120,42 @@ def _deep(side: Array, at: NDArray[np.intp], margin_m: float) -> bool:
     return False
 
 
-def missing_walls(walls: Sequence[ArrayLike], others: Sequence[ArrayLike], way: Array, config: SpaceConfig) -> float:
-    """Length [m] of ``walls`` that a robot on ``way`` (n, 2) should have seen, but that its own, ``others``, lack.
+def seen_through(walls: Sequence[ArrayLike], own: Sequence[ArrayLike], way: Array, config: SpaceConfig) -> float:
+    """Length [m] of ``own`` walls that a robot saw from its ``way`` (n, 2) through ``walls``, which so aren't there.
 
-    It should have seen what is within its reach with none of its own walls in between.
+    Seen is what is within its reach with none of its own walls in between. That a robot lacks a wall is not held
+    against anything: it may have seen it too badly to record it.
+
+    >>> own, other = [[[-2.0, 2.0], [2.0, 2.0]]], [[[-9.0, 1.0], [9.0, 1.0]]]
+    >>> way = np.array([[-2.0, 0.0], [2.0, 0.0]])
+    >>> [seen_through(walls, own, way, SpaceConfig()) for walls in (other, own)]
+    [4.0, 0.0]
     """
     spacing = 0.25
-    points = wall_points(walls, spacing).points
-    own = wall_points(others, spacing).points
-    if not len(points) or not len(own) or not len(way):
+    points = wall_points(own, spacing).points
+    if not len(points) or not len(way):
         return 0.0
-    lacking = cKDTree(own).query(points)[0] > config.margin_m
     near, nearest = (np.asarray(found) for found in cKDTree(way).query(points))
-    asked = lacking & (near < config.reach_m)
-    seen = _clear(way[nearest[asked]], points[asked], segments(others))
-    return float(seen.sum() * spacing)
+    asked = (near > 2 * config.margin_m) & (near < config.reach_m)
+    eyes, seen = way[nearest[asked]], points[asked]
+    # up to a little before the wall that was seen
+    before = seen - (seen - eyes) * (config.margin_m / near[asked])[:, None]
+    through = _clear(eyes, before, segments(own)) & ~_clear(eyes, before, _shortened(walls, config.margin_m))
+    return float(through.sum() * spacing)
+
+
+def _shortened(walls: Sequence[ArrayLike], margin_m: float) -> Array:
+    """Stretches (n, 2, 2) [m] without their ends, of which nobody knows where they are."""
+    lines = segments(walls)
+    along = lines[:, 1] - lines[:, 0]
+    length = np.hypot(*along.T)
+    cut = along * (margin_m / length)[:, None]
+    return np.asarray(np.stack([lines[:, 0] + cut, lines[:, 1] - cut], axis=1)[length > 2 * margin_m])
+
+
+def credible(walls: Sequence[ArrayLike], way: Array, margin_m: float) -> list[Array]:
+    """The stretches (2, 2) of a map's walls that its own robot did not drive through."""
+    return [line for line in segments(walls) if not crossings([line], way, margin_m)]
 
 
 def _clear(eyes: Array, points: Array, lines: Array) -> NDArray[np.bool_]:

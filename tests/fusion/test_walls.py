@@ -18,7 +18,7 @@ from mapfuse.datasets.errors import MapfuseError
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.fusion.show.viewer import open3d
 from mapfuse.fusion.walls import WallConfig, _residuals, align, align_open3d, segments, wall_points
-from mapfuse.fusion.wallspace import SpaceConfig, crossings, missing_walls, wall_evidence, way_of
+from mapfuse.fusion.wallspace import SpaceConfig, credible, crossings, seen_through, wall_evidence, way_of
 
 T12 = np.array([3.0, -2.0, 0.4])
 WIDTH = 1.0  # of a corridor, to either side [m]
@@ -188,16 +188,22 @@ def test_a_way_through_a_wall_counts_and_one_along_it_does_not() -> None:
     assert crossings(wall, np.zeros((0, 2)), 0.5) == 0
 
 
-def test_a_wall_behind_one_s_own_wall_is_not_missed() -> None:
+def test_only_what_was_really_seen_is_seen_through() -> None:
     eye = np.array([[0.0, 0.0], [1.0, 0.0]])
-    wall = [np.array([[-2.0, 2.0], [3.0, 2.0]])]
-    hidden_by = [np.array([[-9.0, 1.0], [9.0, 1.0]])]
-    elsewhere = [np.array([[-9.0, -1.0], [9.0, -1.0]])]
+    own, between = [np.array([[-2.0, 2.0], [3.0, 2.0]])], [np.array([[-9.0, 1.0], [9.0, 1.0]])]
     config = SpaceConfig(reach_m=2.5, margin_m=0.5)
-    assert missing_walls(wall, hidden_by, eye, config) == 0
-    assert missing_walls(wall, elsewhere, eye, config) == pytest.approx(4.0, abs=0.6)
-    assert missing_walls(wall, wall, eye, config) == 0
-    assert missing_walls([np.array([[-2.0, 9.0], [3.0, 9.0]])], elsewhere, eye, config) == 0
+    assert seen_through(between, own, eye, config) == pytest.approx(4.0, abs=0.6)
+    assert seen_through(between, [*own, np.array([[-9.0, 0.7], [9.0, 0.7]])], eye, config) == 0, "its own wall hides it"
+    assert seen_through([np.array([[-9.0, 1.8], [9.0, 1.8]])], own, eye, config) == 0, "within what a map may be wrong"
+    assert seen_through([np.array([[-9.0, 3.0], [9.0, 3.0]])], own, eye, config) == 0, "behind it"
+    assert seen_through(between, [np.array([[-2.0, 9.0], [3.0, 9.0]])], eye, config) == 0, "out of reach"
+    assert seen_through([], own, eye, config) == 0
+
+
+def test_a_wall_that_its_own_robot_drove_through_counts_for_nothing() -> None:
+    driven = np.array([[-3.0, 0.0], [3.0, 0.0]])
+    false, true = np.array([[0.0, -2.0], [0.0, 2.0]]), np.array([[-3.0, 1.0], [3.0, 1.0]])
+    assert [line.tolist() for line in credible([false, true], driven, 0.5)] == [true.tolist()]
 
 
 def test_without_walls_or_ways_nothing_is_said() -> None:
@@ -213,4 +219,4 @@ def test_a_map_on_itself_has_nothing_against_it() -> None:
     full = recorded("B", with_alcove(ring()), T12, np.random.default_rng(0))
     found = wall_evidence(full, full, np.zeros(3))
     assert found is not None
-    assert (found.crossed, found.missing_m, found.nats) == (0, 0.0, 0.0)
+    assert (found.crossed, found.through_m, found.nats) == (0, 0.0, 0.0)
