@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mapfuse.datasets import read_map, se2
+from mapfuse.datasets import LandmarkMap, read_map, se2
 from mapfuse.datasets.truth import read_truth
-from mapfuse.fusion import fuse
+from mapfuse.fusion import FusedMap, fuse
 from mapfuse.fusion.walls import align
 from mapfuse.fusion.wallspace import wall_evidence
 
@@ -55,14 +55,22 @@ def pair_of(kind: str, seed: int, folder: Path) -> list[tuple[np.ndarray, np.nda
     apart = laid.T12 - T12.array
     apart[2] = se2.wrap(apart[2])
     both = T12.array + np.linalg.solve(by_both, laid.information @ apart)
-    against = [wall_evidence(maps[0], maps[1], h.T12.array) for h in fused.pairs[0].hypotheses[:3]]
-    print(kind, seed, "nats of the best three:", [round(one.nats, 1) for one in against if one is not None], flush=True)
+    rigid = wall_evidence(maps[0], maps[1], T12.array)
+    elastic = wall_evidence(maps[0], maps[1], T12.array, placed=placed_by(fused, maps))
+    print(kind, seed, "against the merge, maps rigid:", rigid, "and bent:", elastic, flush=True)
     found = []
     for pose, information in ((T12.array, by_landmarks), (laid.T12, laid.information), (both, by_both)):
         error = pose - expected
         error[2] = se2.wrap(error[2])
         found.append((error, information))
     return found
+
+
+def placed_by(fused: FusedMap, maps: list[LandmarkMap]) -> tuple[np.ndarray, np.ndarray]:
+    """Where the merged map has the landmarks of both maps, in the frame of the first."""
+    at = [{i: (l.x, l.y) for l in fused.landmarks for i in l.sources.get(m.name, ())} for m in maps]
+    first, second = (np.array([places[i] for i in m.ids]) for places, m in zip(at, maps, strict=True))
+    return first, second
 
 
 def main() -> None:

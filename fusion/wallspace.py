@@ -50,28 +50,56 @@ class WallEvidence:
 
 
 def wall_evidence(
-    map1: LandmarkMap, map2: LandmarkMap, T12: ArrayLike, config: SpaceConfig | None = None
+    map1: LandmarkMap,
+    map2: LandmarkMap,
+    T12: ArrayLike,
+    config: SpaceConfig | None = None,
+    placed: tuple[Array, Array] | None = None,
 ) -> WallEvidence | None:
     """What walls and ways of both maps say against ``T12`` (3,), each map's against the other's.
 
-    None where a map has no walls or no way: nothing can be said then. The hypothesis is refined by its walls first
-    (`mapfuse.fusion.walls.align`), so that what it is slightly off by is not held against it.
+    None where a map has no walls or no way: nothing can be said then. ``placed``: where the landmarks of both maps lie
+    under the hypothesis, (n1, 2) and (n2, 2) in frame 1, once the maps are bent onto each other; walls and ways are
+    then bent as the landmarks near them. Without it the maps are rigid, and map 2 is first laid on its walls
+    (`mapfuse.fusion.walls.align`), so that what the hypothesis is slightly off by is not held against it.
     """
     config = config or SpaceConfig()
     way1, way2 = way_of(map1), way_of(map2)
     if not map1.walls or not map2.walls or len(way1) < 2 or len(way2) < 2:
         return None
     T = np.array(T12, dtype=float)
-    laid = align(map1.walls, map2.walls, T, WallConfig(gate_m=2 * config.margin_m))
+    laid = align(map1.walls, map2.walls, T, WallConfig(gate_m=2 * config.margin_m)) if placed is None else None
     if laid is not None and np.hypot(*(laid.T12 - T)[:2]) < 4 * config.margin_m:
         T = laid.T12
     walls1 = credible(map1.walls, way1, config.margin_m)
     walls2 = [se2.transform(T, line) for line in credible(map2.walls, way2, config.margin_m)]
     way2 = se2.transform(T, way2)
+    if placed is not None:
+        at2 = se2.transform(T, map2.positions)
+        walls1, way1 = [bent(line, map1.positions, placed[0]) for line in walls1], bent(way1, map1.positions, placed[0])
+        walls2, way2 = [bent(line, at2, placed[1]) for line in walls2], bent(way2, at2, placed[1])
     crossed = crossings(walls1, way2, config.margin_m) + crossings(walls2, way1, config.margin_m)
     through = seen_through(walls1, walls2, way2, config) + seen_through(walls2, walls1, way1, config)
     nats = -min(crossed * config.crossing_nats + through * config.through_nats_per_m, config.most_nats)
     return WallEvidence(crossed, through, nats)
+
+
+def bent(points: Array, at: Array, to: Array, nearest: int = 4) -> Array:
+    """Points (n, 2) displaced as the landmarks near them, which go from ``at`` (k, 2) to ``to`` (k, 2).
+
+    Each of the nearest few counts by one over its squared distance, or over one square metre where it is nearer.
+
+    >>> at = np.array([[0.0, 0.0], [100.0, 0.0]])
+    >>> bent(np.array([[1.0, 0.0], [50.0, 0.0]]), at, at + [[0.0, 2.0], [0.0, 0.0]]).round(2).tolist()
+    [[1.0, 2.0], [50.0, 1.0]]
+    """
+    if not len(at) or not len(points):
+        return points
+    count = min(nearest, len(at))
+    distance, which = (np.asarray(found).reshape(len(points), count) for found in cKDTree(at).query(points, k=count))
+    weight = 1 / np.maximum(distance, 1.0) ** 2
+    moved = np.einsum("nk,nkc->nc", weight, (to - at)[which]) / weight.sum(axis=1, keepdims=True)
+    return np.asarray(points + moved)
 
 
 def way_of(map_: LandmarkMap) -> Array:

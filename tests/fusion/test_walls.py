@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapfuseError
-from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets.maps import Landmark, LandmarkMap
 from mapfuse.fusion.show.viewer import open3d
 from mapfuse.fusion.walls import WallConfig, _residuals, align, align_open3d, segments, wall_points
 from mapfuse.fusion.wallspace import SpaceConfig, credible, crossings, seen_through, wall_evidence, way_of
@@ -220,3 +220,22 @@ def test_a_map_on_itself_has_nothing_against_it() -> None:
     found = wall_evidence(full, full, np.zeros(3))
     assert found is not None
     assert (found.crossed, found.through_m, found.nats) == (0, 0.0, 0.0)
+
+
+def test_bent_maps_are_judged_as_they_are_bent() -> None:
+    rng = np.random.default_rng(5)
+    corners = np.array([[-12.0, -6.0], [12.0, -6.0], [12.0, 6.0], [-12.0, 6.0]])
+    landmarks = tuple(Landmark(f"c{k}", "corner", *xy.tolist()) for k, xy in enumerate(corners))
+    first = recorded("A", with_alcove(ring()), np.zeros(3), rng).replace(landmarks=landmarks)
+    # map 2 is sheared: its right half lies three metres too high, and the landmarks know it
+    shear = np.array([[1.0, 0.0], [3.0 / 24.0, 1.0]])
+    path = np.array(first.path)
+    path[:, 1:3] = path[:, 1:3] @ shear.T
+    moved = tuple(Landmark(l.id, l.type, *(shear @ [l.x, l.y]).tolist()) for l in landmarks)
+    second = first.replace(name="B", landmarks=moved, walls=tuple(wall @ shear.T for wall in first.walls), path=path)
+    rigid = wall_evidence(first, second, np.zeros(3))
+    elastic = wall_evidence(first, second, np.zeros(3), placed=(corners, corners))
+    assert rigid is not None
+    assert elastic is not None
+    assert elastic.nats > rigid.nats
+    assert elastic.crossed == 0
