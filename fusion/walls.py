@@ -128,6 +128,9 @@ def align(
 ) -> Alignment | None:
     """Lays the walls of map 2 on those of map 1, beginning at ``T12`` (3,); None where too little of them meets.
 
+    Both maps are taken to be rigid: of maps that drift has bent by more than their walls are off, the pose is a
+    compromise, and the information promises too much.
+
     >>> room = [[[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0], [0.0, 0.0]]]
     >>> align(room, room, [0.1, -0.1, 0.02]).T12.round(6).tolist()
     [0.0, 0.0, 0.0]
