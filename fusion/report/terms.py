@@ -26,6 +26,12 @@ WORDS: Mapping[str, tuple[str, str, Marks]] = {
         "On the lines and in the rhythm of a building things coincide more easily than by chance.",
         "matches",
     ),
+    "regular": (
+        "Discount for a regular building",
+        "Where corridors and doors repeat at even distances, landmarks coincide more easily than by chance.",
+        "matches",
+    ),
+    "stated": ("What you said of it", "How well the placement agrees with what was stated of it beforehand.", "none"),
     "misses": (
         "Landmarks that were missed",
         "The other robot passed these landmarks and did not record them.",

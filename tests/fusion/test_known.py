@@ -185,7 +185,7 @@ def test_a_reference_is_exact():
 
 def plan_of(floor):
     """The floor as a map: places with their arms, corridors as links both ways."""
-    links = {place.id: {k: None for k in range(len(place.arms))} for place in floor.places}
+    links = {place.id: dict.fromkeys(range(len(place.arms))) for place in floor.places}
     for place in floor.places:
         for near in floor.neighbours[place.id]:
             step = floor.place_from_id[near].xy - place.xy
