@@ -5,8 +5,8 @@ A format is a row in `FORMATS` and a module of this folder, which is imported wh
 - ``detect(path, head) -> bool``: whether a file (or folder, whose ``head`` is empty) is of this format, from its
   name and its first bytes, unpacked where it is compressed. Libraries aren't imported for it.
 - ``read(path, **options) -> Reading``: raises `InputError` where it can't be read, `FileFormatError` where it is
-  broken; what is odd but leaves a valid rest is a remark. Of a format with ``several`` maps in a file, ``part`` is one of the
-  options: the only map that is wanted, or None.
+  broken; what is odd but leaves a valid rest is a remark. Of a format with ``several`` maps in a file, ``part`` is one
+  of the options: the only map that is wanted, or None.
 - ``write(map, path) -> None``: whole or not at all.
 
 The first format that detects a file has it, so that those with a mark of their own stand first.
