@@ -23,6 +23,7 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import ConfigError, FileFormatError, InputError, OutputError, Problem
+from ..mapfile import validate
 from ..maps import LandmarkMap, Noise
 from .contents import contents
 from .heads import head_of
@@ -72,8 +73,65 @@ class Format:
         return import_module(f".{self.module}", __package__)
 
 
+#: What formats have no field for that know nothing of mapfuse but points.
+_PLAIN_LOSES = (
+    "robot",
+    "recorded_at",
+    "heading",
+    "arms",
+    "ways",
+    "distances",
+    "compass",
+    "counters",
+    "existence",
+    "noise",
+    "walls",
+    "same_as",
+    "extra",
+)
+#: Graphs of places and ways.
+_GRAPH_LOSES = (*(sort for sort in _PLAIN_LOSES if sort != "ways"), "covariance", "joint covariance", "path")
+
 #: In the order in which they are asked.
-FORMATS: tuple[Format, ...] = (Format("map", "mapfuse's own recorded map", (".map.json",), "own", writes=True),)
+FORMATS: tuple[Format, ...] = (
+    Format("map", "mapfuse's own recorded map", (".map.json",), "own", writes=True),
+    Format("nav2", "Nav2 Route Server graph", (".geojson",), "nav2", writes=True, lost=_GRAPH_LOSES),
+    Format("rmf", "Open-RMF building", (".building.yaml",), "rmf", several=True),
+    Format(
+        "tmap2",
+        "LCAS and STRANDS topological map",
+        (".tmap2.yaml", ".tmap2", ".tplg", ".tmap", ".yaml"),
+        "tmap2",
+        writes=True,
+        lost=_GRAPH_LOSES,
+    ),
+    Format(
+        "g2o",
+        "g2o graph with landmarks",
+        (".g2o",),
+        "g2o",
+        writes=True,
+        lost=(*_PLAIN_LOSES, "joint covariance"),
+        options={"type": "what its landmarks are (default: landmark)"},
+    ),
+    Format(
+        "isam",
+        "GTSAM and iSAM text",
+        (".txt", ".graph"),
+        "isam",
+        options={
+            "type": "what its landmarks are (default: landmark)",
+            "matrix": "what follows a measurement: covariance, information or root (of information)",
+        },
+    ),
+    Format(
+        "mat",
+        "local submap with covariance (MATLAB)",
+        (".mat",),
+        "mat",
+        options={"type": "what its landmarks are (default: landmark)"},
+    ),
+)
 
 _NOISE = tuple(f.name for f in fields(Noise) if f.name != "extra")
 
@@ -105,8 +163,18 @@ def format_of(path: str | Path) -> Format:
     for one in FORMATS:
         if one.detect(path, head):
             return one
-    reason = "is in no format that mapfuse reads (`mapfuse formats` lists them)"
+    if _is_json(path, head):
+        return FORMATS[0]
+    reason = f"is {'a folder ' * path.is_dir()}in no format that mapfuse reads (`mapfuse formats` lists them)"
     raise FileFormatError(path, (Problem("", reason),))
+
+
+def _is_json(path: Path, head: bytes) -> bool:
+    """Whether mapfuse's own reader is the one that says what is wrong with a file."""
+    text = head.lstrip()
+    if path.is_dir() or path.suffix.lower() == ".geojson" or b'"FeatureCollection"' in head:
+        return False
+    return path.suffix.lower() == ".json" or text[:1] in (b"{", b"[")
 
 
 def split_part(path: str | Path) -> tuple[Path, str | None]:
@@ -130,6 +198,8 @@ def read_all(path: str | Path, *, format: str | None = None, **options: Any) -> 
     """
     path, part = split_part(path)
     found = named(format) if format is not None else format_of(path)
+    if found is FORMATS[0] and (own := [name for name in _NOISE if name in options]):
+        raise ConfigError(f"{path}: states its own {own[0]}, which no option replaces")
     noise: dict[str, Any] = {name: _number(name, options.pop(name)) for name in _NOISE if name in options}
     for name in options:
         if name not in found.options:
@@ -138,6 +208,10 @@ def read_all(path: str | Path, *, format: str | None = None, **options: Any) -> 
     if found.several:
         options["part"] = part
     reading = found.read(path, **options)
+    if found is not FORMATS[0]:
+        for map_ in reading.maps:
+            if problems := validate(map_):
+                raise FileFormatError(path, problems)
     maps = tuple(map_.replace(noise=replace(map_.noise, **noise)) for map_ in reading.maps) if noise else reading.maps
     if part is not None and len(maps) != 1:
         raise InputError(path, f"has no part {part!r}{_parts(reading)}")
