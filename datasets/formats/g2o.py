@@ -40,7 +40,6 @@ _TAGS = {
     "LANDMARK2": ("sighting", triangle),
     "FIX": ("skip", None),
 }
-_SPATIAL = (b"VERTEX_SE3", b"EDGE_SE3", b"VERTEX_TRACKXYZ")
 
 
 def detect(path: Path, head: bytes) -> bool:

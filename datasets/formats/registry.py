@@ -25,7 +25,7 @@ from typing import Any
 from ..errors import ConfigError, FileFormatError, InputError, OutputError, Problem
 from ..mapfile import validate
 from ..maps import LandmarkMap, Noise
-from .contents import contents
+from .contents import SORTS, contents
 from .heads import head_of
 from .reading import Reading
 
@@ -73,15 +73,14 @@ class Format:
         return import_module(f".{self.module}", __package__)
 
 
+#: What belongs to links, for formats that have none.
+_LINKS = ("arms", "ways", "distances", "compass")
 #: What formats have no field for that know nothing of mapfuse but points.
 _PLAIN_LOSES = (
     "robot",
     "recorded_at",
     "heading",
-    "arms",
-    "ways",
-    "distances",
-    "compass",
+    *_LINKS,
     "counters",
     "existence",
     "noise",
@@ -91,11 +90,48 @@ _PLAIN_LOSES = (
 )
 #: Graphs of places and ways.
 _GRAPH_LOSES = (*(sort for sort in _PLAIN_LOSES if sort != "ways"), "covariance", "joint covariance", "path")
+#: Tables with a row per landmark.
+_TABLE_LOSES = ("robot", "recorded_at", *_LINKS, "joint covariance", "noise", "walls", "path", "same_as", "extra")
+
+_TYPE = "what landmarks are that the file has no label for"
+_MATRIX = "what follows a measurement: covariance, information or root (of information)"
 
 #: In the order in which they are asked.
 FORMATS: tuple[Format, ...] = (
     Format("map", "mapfuse's own recorded map", (".map.json",), "own", writes=True),
-    Format("nav2", "Nav2 Route Server graph", (".geojson",), "nav2", writes=True, lost=_GRAPH_LOSES),
+    Format(
+        "gis",
+        "GeoJSON with ellipses",
+        (".gis.geojson",),
+        "gis",
+        writes=True,
+        lost=("robot", "recorded_at", *_LINKS, "joint covariance", "noise", "same_as", "extra"),
+    ),
+    Format("nav2", "Nav2 Route Server graph", (".geojson", ".nav2.geojson"), "nav2", writes=True, lost=_GRAPH_LOSES),
+    Format(
+        "mrclam",
+        "MRCLAM folder",
+        ("a folder",),
+        "mrclam_folder",
+        options={"barcodes": "no: tubes are nameless to the mapper (default: yes)"},
+        several=True,
+    ),
+    Format(
+        "rosbag",
+        "rosbag2 folder or MCAP file",
+        (".mcap", ".db3", "a folder"),
+        "rosbag",
+        options={
+            "odometry": "topic of nav_msgs/Odometry (default: the only one)",
+            "landmarks": "topic of MarkerArray, PoseArray or Detection3DArray (default: the only one)",
+            "type": _TYPE,
+            "detection_range": "how far landmarks are seen [m]",
+            "range_sigma": "standard deviation of their distance [m]",
+            "bearing_sigma": "standard deviation of their bearing [rad]",
+        },
+        extra="rosbag",
+    ),
+    Format("graphnav", "GraphNav map of Spot", ("graph", "a folder"), "graphnav", extra="graphnav"),
     Format("rmf", "Open-RMF building", (".building.yaml",), "rmf", several=True),
     Format(
         "tmap2",
@@ -112,24 +148,46 @@ FORMATS: tuple[Format, ...] = (
         "g2o",
         writes=True,
         lost=(*_PLAIN_LOSES, "joint covariance"),
-        options={"type": "what its landmarks are (default: landmark)"},
+        options={"type": _TYPE},
+    ),
+    Format("isam", "GTSAM and iSAM text", (".txt", ".graph"), "isam", options={"type": _TYPE, "matrix": _MATRIX}),
+    Format("mat", "local submap with covariance (MATLAB)", (".mat",), "mat", options={"type": _TYPE}),
+    Format(
+        "parquet",
+        "object list (Parquet)",
+        (".parquet", ".pq"),
+        "parquet",
+        writes=True,
+        lost=_TABLE_LOSES,
+        options={"type": _TYPE},
+        extra="parquet",
     ),
     Format(
-        "isam",
-        "GTSAM and iSAM text",
-        (".txt", ".graph"),
-        "isam",
-        options={
-            "type": "what its landmarks are (default: landmark)",
-            "matrix": "what follows a measurement: covariance, information or root (of information)",
-        },
+        "objects",
+        "object list (CSV or text)",
+        (".csv", ".tsv", ".txt"),
+        "objects",
+        writes=True,
+        lost=("name", *_TABLE_LOSES),
+        options={"type": _TYPE},
     ),
     Format(
-        "mat",
-        "local submap with covariance (MATLAB)",
-        (".mat",),
-        "mat",
-        options={"type": "what its landmarks are (default: landmark)"},
+        "ply",
+        "PLY point cloud",
+        (".ply",),
+        "ply",
+        reads=False,
+        writes=True,
+        lost=(*_PLAIN_LOSES, "ids", "covariance", "joint covariance"),
+    ),
+    Format(
+        "tum",
+        "TUM trajectory",
+        (".tum",),
+        "tum",
+        reads=False,
+        writes=True,
+        lost=tuple(sort for sort in SORTS if sort != "path"),
     ),
 )
 

@@ -30,7 +30,7 @@ MAX_POSES = 50_000
 MAX_JOINT = 2000
 #: Step length [standard deviations] that ends the descent; that of a stretch which more poses will follow.
 CONVERGED, ROUGHLY = 1e-5, 0.3
-_ITERATIONS = 100
+_ITERATIONS = 1000
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 #: How a tag's matrix becomes information: from its upper triangle as it stands.
 Layout = Callable[[list[float]], Array]
 
+#: How tags of graphs in space begin.
+_IN_SPACE = ("VERTEX_SE3", "EDGE_SE3", "VERTEX_TRACKXYZ", "VERTEX3", "EDGE3")
 #: Numbers of vertices, at most.
 _MAX_NUMBER = 2**62
 
@@ -66,6 +68,9 @@ def read_lines(path: Path, tags: Mapping[str, tuple[str, Layout | None]]) -> tup
             comments.append(line[1:].strip())
             continue
         kind, layout = tags.get(tag, ("", None))
+        if not kind and tag.startswith(_IN_SPACE):
+            check.fault(f"line {number}", f"{tag[:30]}: is a graph in space, and mapfuse's maps are of the plane")
+            break
         try:
             lines.add(kind, layout, words)
         except _LineError as error:
@@ -93,9 +98,11 @@ class _Lines:
             return
         if kind == "pose":
             (number,), values = _split(words, 1, 3)
+            _once(number, self.poses)
             self.poses[number] = np.array(values)
         elif kind == "point":
             (number,), values = _split(words, 1, 2)
+            _once(number, self.points)
             self.points[number] = np.array(values)
         elif kind == "motion":
             (a, b), values = _split(words, 2, 9)
@@ -110,6 +117,11 @@ class _Lines:
             self.sightings.append((a, b, *_from_bearing(*values)))
         else:
             raise _LineError("is no word of this format")
+
+
+def _once(number: int, known: Mapping[int, Array]) -> None:
+    if number in known:
+        raise _LineError(f"the vertex {number} stands already further up")
 
 
 def _split(words: list[str], numbers: int, values: int) -> tuple[list[int], list[float]]:
