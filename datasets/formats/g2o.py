@@ -1,6 +1,7 @@
 """g2o graphs of a robot in the plane with landmarks: VERTEX_SE2, VERTEX_XY, EDGE_SE2, EDGE_SE2_XY.
 
-Metres and radians; an edge's matrix is the upper triangle of its information, row by row. What stands in the map is the
+Metres and radians; an edge's matrix is the upper triangle of its information, row by row, of a motion in the axes of
+its end. What stands in the map is the
 optimum of the edges (`slamgraph`). A map is written as its path and its landmarks, each with one edge from the first
 pose that says its covariance; ids, types and times, which g2o has no place for, go into comments and are read again.
 """
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +34,7 @@ LEAST_SIGMA_M = 1e-6
 #: Begins the comment that says what g2o has no place for.
 MARK = "mapfuse "
 
-_TAGS = {
+TAGS = {
     "VERTEX_SE2": ("pose", None),
     "VERTEX_XY": ("point", None),
     "EDGE_SE2": ("motion", triangle),
@@ -49,7 +51,8 @@ def detect(path: Path, head: bytes) -> bool:
 
 def read(path: Path, type: str = TYPE) -> Reading:
     """The map of a graph; raises `FileFormatError` for one in space, which is not for a map of the plane."""
-    found, comments = read_lines(path, _TAGS)
+    found, comments = read_lines(path, TAGS)
+    found = replace(found, motions=tuple((a, b, z, _in_axes_of_start(z, I)) for a, b, z, I in found.motions))
     told = _told(comments)
     ids, types = _texts(told.get("ids")), _texts(told.get("types"))
     name = told.get("name")
@@ -59,6 +62,13 @@ def read(path: Path, type: str = TYPE) -> Reading:
     except MapfuseError as error:
         raise MapfuseError(f"{path}: {error}") from error
     return _with_times(reading, told.get("times"), bool(told.get("path", True)))
+
+
+def _in_axes_of_start(motion: Array, information: Array) -> Array:
+    """g2o's error of a motion is in the axes of the measured end, ours in those of its start."""
+    turn = np.eye(3)
+    turn[:2, :2] = se2.rotation(motion[2]).T
+    return np.asarray(turn.T @ information @ turn)
 
 
 def _told(comments: list[str]) -> Mapping[str, Any]:

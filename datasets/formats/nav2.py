@@ -131,7 +131,9 @@ def write(map_: LandmarkMap, path: Path) -> None:
         directed.setdefault((landmark.id, end), extra)
         if not any(isinstance(value, Mapping) for value in extra.values()):
             back.setdefault((end, landmark.id), extra)
-    for (start, end), extra in {**back, **directed}.items():
+    for (start, end), extra in (
+        directed | {ends: extra for ends, extra in back.items() if ends not in directed}
+    ).items():
         kept = extra.get(KEY)
         features.append(_line(map_, start, end, len(features), number, kept if isinstance(kept, Mapping) else {}))
     write_whole(path, encode({"type": "FeatureCollection", "name": map_.name, "features": features}))

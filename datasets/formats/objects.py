@@ -55,7 +55,7 @@ def read(path: Path, type: str = TYPE) -> Reading:
     if width not in _UNTITLED or not _is_row(first):
         reason = "has neither titles with x and y nor rows of label x y [z] [cxx cxy cyy]"
         raise FileFormatError(path, (Problem("line 1", reason),))
-    return map_from_rows(name, _UNTITLED[width], _plain_rows(text), type, path)
+    return map_from_rows(name, _UNTITLED[width], _plain_rows(text), type, path, numbered=True)
 
 
 def _first_line(text: str) -> str:
@@ -94,7 +94,7 @@ def _records(text: str, separator: str, path: Path) -> Iterator[tuple[str, list[
         for row in reader:
             if any(len(value) > _MAX_FIELD for value in row):
                 raise csv.Error(f"a value of more than {_MAX_FIELD:,} characters")
-            if not any(value.strip() for value in row) or row[0].lstrip().startswith("#"):
+            if not any(value.strip() for value in row) or (not begun and row[0].lstrip().startswith("#")):
                 continue
             if begun:
                 yield f"line {reader.line_num}", row

@@ -266,16 +266,24 @@ def read_all(path: str | Path, *, format: str | None = None, **options: Any) -> 
     if found.several:
         options["part"] = part
     reading = found.read(path, **options)
-    if found is not FORMATS[0]:
-        for map_ in reading.maps:
-            if problems := validate(map_):
-                raise FileFormatError(path, problems)
     maps = tuple(map_.replace(noise=replace(map_.noise, **noise)) for map_ in reading.maps) if noise else reading.maps
     if part is not None and len(maps) != 1:
         raise InputError(path, f"has no part {part!r}{_parts(reading)}")
     if part is not None and not found.several:
         raise InputError(path, f"is one map and has no part {part!r}")
+    if found is not FORMATS[0]:
+        _check(maps, path)
     return replace(reading, maps=maps), found
+
+
+def _check(maps: tuple[LandmarkMap, ...], path: Path) -> None:
+    """Hold what a reader made of a file against the rules of our own maps."""
+    for map_ in maps:
+        problems = validate(map_)
+        if told := [problem for problem in problems if problem.place.startswith("noise.")]:
+            raise ConfigError(f"{path}: option {told[0].place.removeprefix('noise.')}: {told[0].reason}")
+        if problems:
+            raise FileFormatError(path, problems)
 
 
 def read_any(path: str | Path, *, format: str | None = None, **options: Any) -> tuple[LandmarkMap, Format]:

@@ -60,12 +60,17 @@ def column(word: str) -> str:
 
 
 def map_from_rows(
-    name: str, titles: Sequence[str], rows: Iterable[tuple[str, Sequence[Any]]], type_: str, path: Path
+    name: str,
+    titles: Sequence[str],
+    rows: Iterable[tuple[str, Sequence[Any]]],
+    type_: str,
+    path: Path,
+    numbered: bool = False,
 ) -> Reading:
     """A map of rows, each with the place that errors name; ``titles`` are already `column` names.
 
-    Values may be text. A row without id gets a number; columns that aren't known are kept in ``extra``. Raises
-    `FileFormatError` with all that is wrong.
+    Values may be text. ``numbered``: labels that are whole numbers become ``class-3``. A row without id gets a number;
+    columns that aren't known are kept in ``extra``. Raises `FileFormatError` with all that is wrong.
     """
     check = Checker(path)
     for title in ("x", "y"):
@@ -84,7 +89,7 @@ def map_from_rows(
             check.fault(place, f"has {len(values)} values for {len(titles)} columns")
             continue
         record = {title: value for title, value in zip(titles, values, strict=True) if not _absent(value)}
-        found.append(_Row(record, place, check).landmark(str(k), type_))
+        found.append(_Row(record, place, check, numbered).landmark(str(k), type_))
     check.done()
     ids, renamed = unique_names([landmark.id for landmark in found])
     landmarks = tuple(replace(landmark, id=i) for landmark, i in zip(found, ids, strict=True))
@@ -105,6 +110,7 @@ class _Row:
     record: dict[str, Any]
     place: str
     check: Checker
+    numbered: bool
 
     def landmark(self, number: str, type_: str) -> Landmark:
         """The landmark of the row."""
@@ -118,7 +124,7 @@ class _Row:
             self.check.fault(self.place, f"existence is {existence!r}; it must be a probability")
         return Landmark(
             id=_word(self.record.pop("id", number)),
-            type=_label(self.record.pop("type", type_)),
+            type=_label(self.record.pop("type", type_), self.numbered),
             x=x,
             y=y,
             heading=None if heading is None else wrap(math.remainder(heading, 2 * math.pi)),
@@ -184,10 +190,9 @@ def _word(value: Any) -> str:
     return str(value).strip()
 
 
-def _label(value: Any) -> str:
-    """A class's number says less than a word does: ``class-3``."""
+def _label(value: Any, numbered: bool) -> str:
     word = _word(value)
-    return f"class-{word}" if word.lstrip("-").isdecimal() else word
+    return f"class-{word}" if numbered and word.lstrip("-").isdecimal() else word
 
 
 def _plain(value: Any) -> Any:
