@@ -1,7 +1,7 @@
 """GeoJSON for geographic information systems: landmarks, 95 % ellipses, ways, walls and path as features.
 
-Coordinates are metres of the map's frame, x and y, with ``"crs": null``: they lie nowhere on Earth until somebody says
-where. The property ``kind`` says what a feature is; landmarks have ``id``, ``type`` and what is known of them, angles
+Coordinates are metres of the map's frame, x and y. The ``crs`` says so in words that GDAL and QGIS understand (an
+engineering system of their own): they lie nowhere on Earth until somebody says where. The property ``kind`` says what a feature is; landmarks have ``id``, ``type`` and what is known of them, angles
 in radians, covariances in square metres as lists of rows.
 """
 
@@ -27,6 +27,14 @@ Array = NDArray[np.float64]
 
 ENDINGS = (".gis.geojson", ".geojson")
 MARK = "mapfuse"
+#: The coordinate system of a robot's map, in well-known text. Without any, readers take metres for degrees.
+LOCAL_CRS = {
+    "type": "name",
+    "properties": {
+        "name": 'ENGCRS["robot map",EDATUM["robot map"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],'
+        'LENGTHUNIT["metre",1]]'
+    },
+}
 #: Squared radius of the ellipse that holds 95 % of a Gaussian in the plane.
 CHI2_95 = 5.991464547107979
 _CORNERS = 48
@@ -106,7 +114,7 @@ def write(map_: LandmarkMap, path: Path) -> None:
         p = map_.path
         told = {"t": p[:, 0].tolist(), "theta": p[:, 3].tolist()}
         features.append(_feature("LineString", p[:, 1:3].tolist(), kind="path", **told))
-    document = {"type": "FeatureCollection", "name": map_.name, MARK: "gis/1", "crs": None, "features": features}
+    document = {"type": "FeatureCollection", "name": map_.name, MARK: "gis/1", "crs": LOCAL_CRS, "features": features}
     write_whole(path, encode(document))
 
 

@@ -18,6 +18,7 @@ from ..jsondata import decode, encode
 from ..maps import Landmark, LandmarkMap
 from .checks import Checker
 from .graphs import WAYPOINT, Node, Way, graph_map, ways_of
+from .gis import LOCAL_CRS
 from .heads import plain_name, read_bytes, stem
 from .reading import Reading
 
@@ -81,7 +82,7 @@ def _false_crs(top: Mapping[str, Any], check: Checker) -> tuple[str, ...]:
         check.fault("crs", f"is {name[:60]}: degrees, and a graph of the Route Server has metres")
         return ()
     stated = f"the coordinate reference system {name[:60]} is stated, and the coordinates are metres of a robot's map"
-    return (f"{stated}: ignored",) if name else ()
+    return (f"{stated}: ignored",) if name and not name.startswith(("ENGCRS[", "LOCAL_CS[")) else ()
 
 
 def _node(properties: Mapping[str, Any], geometry: Mapping[str, Any], place: str, check: Checker) -> tuple[str, Node]:
@@ -136,7 +137,8 @@ def write(map_: LandmarkMap, path: Path) -> None:
     ).items():
         kept = extra.get(KEY)
         features.append(_line(map_, start, end, len(features), number, kept if isinstance(kept, Mapping) else {}))
-    write_whole(path, encode({"type": "FeatureCollection", "name": map_.name, "features": features}))
+    document = {"type": "FeatureCollection", "name": map_.name, "crs": LOCAL_CRS, "features": features}
+    write_whole(path, encode(document))
 
 
 def _point(landmark: Landmark, number: int) -> dict[str, Any]:
