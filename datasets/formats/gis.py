@@ -1,8 +1,9 @@
 """GeoJSON for geographic information systems: landmarks, 95 % ellipses, ways, walls and path as features.
 
 Coordinates are metres of the map's frame, x and y. The ``crs`` says so in words that GDAL and QGIS understand (an
-engineering system of their own): they lie nowhere on Earth until somebody says where. The property ``kind`` says what a feature is; landmarks have ``id``, ``type`` and what is known of them, angles
-in radians, covariances in square metres as lists of rows.
+engineering system of their own): they lie nowhere on Earth until somebody says where. The property ``kind`` says what a
+feature is; landmarks have ``id``, ``type`` and what is known of them, angles in radians, covariances in square metres
+as lists of rows.
 """
 
 from __future__ import annotations

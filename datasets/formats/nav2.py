@@ -17,8 +17,8 @@ from ..files import write_whole
 from ..jsondata import decode, encode
 from ..maps import Landmark, LandmarkMap
 from .checks import Checker
-from .graphs import WAYPOINT, Node, Way, graph_map, ways_of
 from .gis import LOCAL_CRS
+from .graphs import WAYPOINT, Node, Way, graph_map, ways_of
 from .heads import plain_name, read_bytes, stem
 from .reading import Reading
 
