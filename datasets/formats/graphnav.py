@@ -53,7 +53,8 @@ def read(path: Path) -> Reading:
     ]
     edges = [(edge.id.from_waypoint, edge.id.to_waypoint) for edge in graph.edges]
     # an edge can be walked both ways, and stands once
-    ways = [Way(a, b) for a, b in edges] + [Way(b, a) for a, b in edges if (b, a) not in set(edges)]
+    there = set(edges)
+    ways = [Way(a, b) for a, b in edges] + [Way(b, a) for a, b in edges if (b, a) not in there]
     check.done()
     folder = path if path.is_dir() else path.resolve().parent
     map_, remarks = graph_map(folder.name or "graph", nodes, ways)

@@ -107,15 +107,17 @@ def unique_names(names: Sequence[str]) -> tuple[list[str], list[str]]:
     (['a', 'b', 'a#2'], ['a#2'])
     """
     taken, given, renamed = set(names), [], []
-    seen: set[str] = set()
+    times: dict[str, int] = {}
     for name in names:
-        new, k = name, 2
-        if name in seen:
+        new = name
+        if name in times:
             while new in taken:
-                new, k = f"{name}#{k}", k + 1
+                times[name] += 1
+                new = f"{name}#{times[name]}"
             renamed.append(new)
-        taken.add(new)
-        seen.add(name)
+            taken.add(new)
+        else:
+            times[name] = 1
         given.append(new)
     return given, renamed
 

@@ -11,12 +11,11 @@ from ..files import write_whole
 from ..maps import LandmarkMap
 from .heads import plain_name, read_bytes, stem
 from .reading import Reading
-from .tables import MAX_ROWS, TYPE, column, map_from_rows, rows_of
+from .tables import MAX_COLUMNS, MAX_ROWS, TYPE, column, map_from_rows, rows_of
 
 _MARK = b"PAR1"
 #: Key of the table's metadata that holds the map's name.
 _NAME = b"mapfuse_name"
-_MAX_COLUMNS = 1000
 
 
 def detect(path: Path, head: bytes) -> bool:
@@ -30,8 +29,8 @@ def read(path: Path, type: str = TYPE) -> Reading:
     data = read_bytes(path)
     try:
         file = parquet.ParquetFile(io.BytesIO(data))
-        if file.metadata.num_rows > MAX_ROWS or file.metadata.num_columns > _MAX_COLUMNS:
-            reason = f"has more than {MAX_ROWS:,} rows or {_MAX_COLUMNS} columns"
+        if file.metadata.num_rows > MAX_ROWS or file.metadata.num_columns > MAX_COLUMNS:
+            reason = f"has more than {MAX_ROWS:,} rows or {MAX_COLUMNS} columns"
             raise FileFormatError(path, (Problem("", reason),))
         table = file.read()
         columns = [values.to_pylist() for values in table.columns]

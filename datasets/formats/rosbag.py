@@ -38,6 +38,8 @@ TYPE = "landmark"
 #: Bags are refused beyond this [bytes]; so are messages.
 MAX_BAG_BYTES = 2**31
 MAX_MESSAGE_BYTES = 2**24
+#: A chunk of MCAP, unpacked, at most [bytes]; recorders make chunks of a megabyte or so.
+MAX_CHUNK_BYTES = 2**28
 _METADATA = "metadata.yaml"
 _MCAP = b"\x89MCAP0\r\n"
 
@@ -64,7 +66,7 @@ def detect(path: Path, head: bytes) -> bool:
 
 
 def _storages(path: Path) -> Iterator[Path]:
-    return (file for ending in ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd") for file in path.glob(ending))
+    return (file for ending in ("*.mcap", "*.db3") for file in path.glob(ending))
 
 
 def read(path: Path, type: str = TYPE, **options: str) -> Reading:
@@ -89,6 +91,7 @@ def read_log(
     stated: dict[str, Any] = {name: _positive(path, name, value) for name, value in sensors.items()}
     known = Sensors(**stated)
     _check_files(path)
+    _bound_unpacking()
     try:
         with Reader(path) as reader:
             topics = {c.topic: c.msgtype for c in reader.connections}
@@ -132,12 +135,40 @@ def _check_files(path: Path) -> None:
         return
     told = safeyaml.load(path / _METADATA)
     about = told.get("rosbag2_bagfile_information") if isinstance(told, Mapping) else None
+    packed = about.get("compression_mode") if isinstance(about, Mapping) else None
+    if str(packed or "").lower() in ("file", "message"):
+        reason = "is compressed by file or by message; only chunks of MCAP may be, so unpack it with ros2 bag convert"
+        raise FileFormatError(path, (Problem("", reason),))
     names = about.get("relative_file_paths") if isinstance(about, Mapping) else None
     for name in names if isinstance(names, list) else []:
         target = (path / str(name)).resolve()
         if not target.is_relative_to(path.resolve()):
             place = "relative_file_paths"
             raise FileFormatError(path / _METADATA, (Problem(place, f"{str(name)[:80]!r} leads out of the folder"),))
+
+
+def _bound_unpacking() -> None:
+    """Let the library unpack no chunk of MCAP beyond `MAX_CHUNK_BYTES`; by itself it unpacks whatever a file says."""
+    from rosbags.rosbag2 import storage_mcap
+
+    def lz4(data: bytes, _: int) -> bytes:
+        from lz4.frame import LZ4FrameDecompressor
+
+        return _unpacked(LZ4FrameDecompressor(), data)
+
+    def zstd(data: bytes, _: int) -> bytes:
+        return _unpacked(storage_mcap.zstd.ZstdDecompressor(), data)
+
+    storage_mcap.DECOMPRESSORS.update(lz4=lz4, zstd=zstd)
+
+
+def _unpacked(unpacker: Any, data: bytes) -> bytes:
+    unpacked = bytes(unpacker.decompress(data, max_length=MAX_CHUNK_BYTES + 1))
+    if len(unpacked) > MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk unpacks to more than {MAX_CHUNK_BYTES:,} bytes, the most that is read")
+    if not unpacker.eof:
+        raise ValueError("a chunk ends too early")
+    return unpacked
 
 
 def _topic(path: Path, topics: Mapping[str, str], types: tuple[str, ...], option: str, asked: str | None) -> str:

@@ -14,9 +14,9 @@ from ..errors import FileFormatError, Problem
 from .heads import read_text
 
 #: Larger files are refused [bytes].
-MAX_YAML_BYTES = 2**25
+MAX_YAML_BYTES = 2**24
 #: Values of a document, aliases expanded, at most.
-MAX_VALUES = 2_000_000
+MAX_VALUES = 500_000
 #: Lists and mappings within each other, at most.
 MAX_DEPTH = 64
 

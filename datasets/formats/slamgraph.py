@@ -83,8 +83,9 @@ def solved_map(name: str, found: Measurements, type_: str, ids: Mapping[int, str
     if len(numbers) > MAX_POSES:
         raise TooLargeError(f"the graph {name!r} has {len(numbers):,} poses; at most {MAX_POSES:,} are solved")
     order = _joined(numbers, found)
-    lost_poses = sorted(set(numbers) - set(order)) if found.motions else []
-    sightings = [s for s in found.sightings if s[0] in order]
+    reached = set(order)
+    lost_poses = sorted(set(numbers) - reached) if found.motions else []
+    sightings = [s for s in found.sightings if s[0] in reached]
     seen = sorted({s[1] for s in sightings})
     poses = np.array([found.poses.get(n, np.zeros(3)) for n in order]).reshape(-1, 3)
     xy, covariance = np.zeros((0, 2)), None

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 #: How a tag's matrix becomes information: from its upper triangle as it stands.
 Layout = Callable[[list[float]], Array]
 
+#: Lines of a file, at most.
+MAX_LINES = 1_000_000
 #: How tags of graphs in space begin.
 _IN_SPACE = ("VERTEX_SE3", "EDGE_SE3", "VERTEX_TRACKXYZ", "VERTEX3", "EDGE3")
 #: Numbers of vertices, at most.
@@ -62,7 +64,11 @@ def read_lines(path: Path, tags: Mapping[str, tuple[str, Layout | None]]) -> tup
     """
     check, lines = Checker(path), _Lines()
     comments = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    text = read_text(path).splitlines()
+    if len(text) > MAX_LINES:
+        check.fault("", f"has more than {MAX_LINES:,} lines")
+        check.done()
+    for number, line in enumerate(text, start=1):
         tag, *words = line.split() or ["#"]
         if tag.startswith("#"):
             comments.append(line[1:].strip())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -43,6 +44,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 TYPE = "object"
 #: Rows of a file, at most.
 MAX_ROWS = 200_000
+MAX_COLUMNS = 1000
 
 _NAME_FROM_ALIAS = {alias: name for name, aliases in COLUMNS.items() for alias in (name, *aliases)}
 #: Names of a landmark's fields, which ``extra`` can't have.
@@ -76,8 +78,9 @@ def map_from_rows(
     for title in ("x", "y"):
         if title not in titles:
             check.fault("", f"has no column {title}; there are {', '.join(titles)[:200]}")
-    doubled = sorted({title for title in titles if titles.count(title) > 1 and title in COLUMNS})
-    for title in doubled:
+    if len(titles) > MAX_COLUMNS:
+        check.fault("", f"has more than {MAX_COLUMNS} columns")
+    for title in sorted(title for title, k in Counter(titles).items() if k > 1 and title in COLUMNS):
         check.fault("", f"has two columns for {title}")
     check.done()
     found: list[Landmark] = []

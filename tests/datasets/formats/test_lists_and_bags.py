@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapfuse.datasets.errors import ConfigError, FileFormatError, InputError
-from mapfuse.datasets.formats import read_all, read_any
+from mapfuse.datasets.formats import read_all, read_any, rosbag
 
 
 def read(tmp_path, text, name="it.csv", **options):
@@ -109,10 +109,10 @@ def test_an_mrclam_folder_is_a_map_of_each_robot(tmp_path):
 TUBES = np.array([[3.0, 1.0], [6.0, -1.0], [9.0, 1.5]])
 
 
-def bag(path, kind="PoseArray", frame="base_link", storage="MCAP", topic="/seen", second=False):
+def bag(path, kind="PoseArray", frame="base_link", storage="MCAP", topic="/seen", second=False, packed=False):
     """A robot drives 12 m along x and sees three things within 2.5 m."""
     pytest.importorskip("rosbags")
-    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -156,7 +156,10 @@ def bag(path, kind="PoseArray", frame="base_link", storage="MCAP", topic="/seen"
     zero = T["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
     twist = T["geometry_msgs/msg/TwistWithCovariance"](T["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36))
     name = {"PoseArray": "geometry_msgs/msg/PoseArray", "MarkerArray": "visualization_msgs/msg/MarkerArray"}[kind]
-    with Writer(path, version=9, storage_plugin=StoragePlugin[storage]) as writer:
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
+    if packed:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
         moves = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
         looks = writer.add_connection(topic, name, typestore=store)
         if second:
@@ -215,6 +218,24 @@ def test_broken_bags_are_refused(tmp_path):
     (tmp_path / "turned.mcap").write_bytes(whole[:400] + whole[400:][::-1][:-8] + whole[-8:])
     with pytest.raises(FileFormatError, match="is no bag that can be read"):
         read_any(tmp_path / "turned.mcap")
+
+
+def test_a_chunk_that_unpacks_beyond_bounds_is_refused(tmp_path, monkeypatch):
+    path = bag(tmp_path / "drive", packed=True)
+    assert len(read_any(path)[0]) == 3
+    monkeypatch.setattr(rosbag, "MAX_CHUNK_BYTES", 1000)
+    with pytest.raises(FileFormatError, match="a chunk unpacks to more than 1,000 bytes"):
+        read_any(path)
+
+
+def test_bags_packed_as_a_whole_are_refused(tmp_path):
+    path = bag(tmp_path / "drive")
+    metadata = path / "metadata.yaml"
+    text = metadata.read_text()
+    assert "compression_mode: ''" in text
+    metadata.write_text(text.replace("compression_mode: ''", "compression_mode: FILE"))
+    with pytest.raises(FileFormatError, match="is compressed by file or by message"):
+        read_any(path)
 
 
 def test_metadata_do_not_lead_out_of_the_folder(tmp_path):
