@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from . import anymap
 from .console import (
     Quiet,
     UsageError,
@@ -27,14 +28,19 @@ if TYPE_CHECKING:
     from mapfuse.fusion.result import FusedMap
     from mapfuse.fusion.show.log_page import Drive
 
-#: The first line of a log isn't longer [bytes].
-_HEAD_BYTES = 2**20
 _ENDINGS = (".fused.json", ".map.json", ".geojson", ".json", ".log.jsonl.gz", ".log.jsonl", ".jsonl")
 
 
 def show(
     file: Annotated[
-        Path, typer.Argument(help="A recorded map, a fused map, a log, or a building's plan (GeoJSON).", metavar="FILE")
+        Path,
+        typer.Argument(
+            help=(
+                "A map in any format that `mapfuse formats` lists (FILE#PART for one of several), a result, a log, "
+                "or a building's plan (GeoJSON)."
+            ),
+            metavar="FILE",
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -56,16 +62,18 @@ def show(
         Path | None,
         typer.Option("--corridors", metavar="FILE", help="Of a plan: a second file, that has its corridors."),
     ] = None,
+    given: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=anymap.SET_HELP)] = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Draw a recorded map, a fused map, a building, or a log with its truth where that stands beside it."""
+    told = anymap.options(given or [])
     if html and solid:
         raise UsageError("--html and --3d: give one of them")
     if solid:
         from .solid import show_solid
 
-        show_solid(file, output, quiet=quiet, verbose=verbose)
+        show_solid(file, output, told, quiet=quiet, verbose=verbose)
         return
     if output is not None and output.suffix.lower() in (".html", ".htm"):
         html = True
@@ -76,29 +84,47 @@ def show(
     if is_log(file):
         if pair:
             raise UsageError("--pair: a log has no pairs of maps")
+        if told:
+            raise UsageError(f"--set: is for maps of other formats, and {file} is a log")
         said = _show_log(file, target, html=html)
     else:
-        said = _show_document(file, target, pair, corridors, html=html)
+        said = _show_document(file, target, pair, corridors, told, html=html, quiet=quiet)
     if not quiet:
         say(said)
         say(f"wrote {target}")
 
 
 def _show_document(
-    file: Path, target: Path, pair: tuple[str, str] | None, corridors: Path | None, *, html: bool
+    file: Path,
+    target: Path,
+    pair: tuple[str, str] | None,
+    corridors: Path | None,
+    told: dict[str, str],
+    *,
+    html: bool,
+    quiet: bool,
 ) -> str:
-    found = format_of(file)
-    if found.startswith("mapfuse.fused/"):
-        from mapfuse.fusion import read_fused
-
-        return _show_fused(read_fused(file), target, pair, html=html)
+    if (fused := anymap.fused_in(file)) is not None:
+        if told:
+            raise UsageError(f"--set: is for maps of other formats, and {file} is a result")
+        return _show_fused(fused, target, pair, html=html)
     if pair:
         raise UsageError(f"--pair: {file} is no fused map")
-    if file.suffix.lower() == ".geojson":
+    if corridors is not None or _is_plan(file):
         return _show_plan(file, target, corridors, html=html)
-    from mapfuse.datasets import read_map
+    return _show_map(anymap.read_one(file, told, quiet=quiet), target, html=html)
 
-    return _show_map(read_map(file), target, html=html)
+
+def _is_plan(file: Path) -> bool:
+    """Whether a file holds a building's plan: GeoJSON that is nobody's map."""
+    from mapfuse.datasets.errors import MapfuseError
+    from mapfuse.datasets.formats import format_of
+
+    try:
+        format_of(file)
+    except MapfuseError:
+        return file.suffix.lower() == ".geojson"
+    return False
 
 
 def _show_fused(fused: FusedMap, target: Path, pair: tuple[str, str] | None, *, html: bool) -> str:
@@ -183,29 +209,13 @@ def _drive(file: Path) -> tuple[LogHeader, Drive, Path]:
 
 
 def is_log(file: Path) -> bool:
-    """Whether a file holds a log: lines of JSON of which the first one says so, or anything compressed."""
+    """Whether a file holds a log: lines of JSON of which the first one says so, or compressed and named as one."""
+    if file.name.lower().endswith((".jsonl", ".jsonl.gz")):
+        return True
+    from mapfuse.datasets.errors import InputError
+    from mapfuse.datasets.formats.heads import head_of
+
     try:
-        with file.open("rb") as stream:
-            line = stream.readline(_HEAD_BYTES)
-    except OSError:
+        return b'"mapfuse.log/' in head_of(file).partition(b"\n")[0]
+    except InputError:
         return False  # the readers say what is wrong
-    return line[:2] == b"\x1f\x8b" or _format(line).startswith("mapfuse.log/")
-
-
-def format_of(file: Path) -> str:
-    """The file's own word for its format, empty where it has none: the reader of maps then says what is wrong."""
-    from mapfuse.datasets.files import read_whole
-
-    return _format(read_whole(file))
-
-
-def _format(document: bytes) -> str:
-    import msgspec
-
-    class Head(msgspec.Struct):
-        format: str = ""
-
-    try:
-        return msgspec.json.decode(document, type=Head).format
-    except (msgspec.MsgspecError, UnicodeDecodeError):
-        return ""
