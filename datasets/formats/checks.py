@@ -76,8 +76,8 @@ class Checker:
 def yaw_of(x: float, y: float, z: float, w: float) -> float | None:
     """Rotation [rad] about the vertical of a quaternion of any length; None where its length is 0.
 
-    >>> yaw_of(0.0, 0.0, 2.0, 2.0), yaw_of(0.0, 0.0, 0.0, 0.0)
-    (1.5707963267948966, None)
+    >>> yaw_of(0.0, 0.0, 0.0, -3.0), yaw_of(0.0, 0.0, 0.0, 0.0)
+    (0.0, None)
     """
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if norm < 1e-6:

@@ -31,6 +31,8 @@ def read(path: Path, part: str | None = None, barcodes: str = "yes") -> Reading:
     if barcodes not in _ANSWERS:
         raise ConfigError(f"{path}: option barcodes is {barcodes!r}; it must be yes or no")
     robots = {f"robot{robot}": robot for robot in _robots(path)}
+    if not robots:
+        raise InputError(path, "is no folder of MRCLAM: it has no Robot1_Odometry.dat to Robot5_Odometry.dat")
     if part is not None and part not in robots:
         raise InputError(path, f"has no part {part!r}; there are {', '.join(robots)}")
     wanted = robots if part is None else {part: robots[part]}

@@ -157,7 +157,9 @@ def _bound_unpacking() -> None:
         return _unpacked(LZ4FrameDecompressor(), data)
 
     def zstd(data: bytes, _: int) -> bytes:
-        return _unpacked(storage_mcap.zstd.ZstdDecompressor(), data)
+        from backports.zstd import ZstdDecompressor
+
+        return _unpacked(ZstdDecompressor(), data)
 
     storage_mcap.DECOMPRESSORS.update(lz4=lz4, zstd=zstd)
 

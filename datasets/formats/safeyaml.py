@@ -1,8 +1,9 @@
 """YAML as foreign files have it: plain values only, in bounded memory and time, whatever the file does.
 
 Tags that would make Python objects are refused. Anchors are honoured (files written by programs have them), but what
-they expand to is counted before anything walks over it, and one that contains itself is refused. Dates stay text, and
-``<<`` is a key like any other. A key that stands twice in one mapping is refused: either value might be meant.
+they expand to is counted before anything walks over it, and one that contains itself is refused. Dates stay text, as
+do keys, and ``<<`` is a key like any other. A key that stands twice in one mapping is refused: either value might be
+meant.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ MAX_VALUES = 500_000
 MAX_DEPTH = 64
 
 _PLAIN = tuple(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float"))
+_TEXT = "tag:yaml.org,2002:str"
 _ALLOWED = frozenset((*_PLAIN, *(f"tag:yaml.org,2002:{name}" for name in ("str", "seq", "map"))))
 
 
@@ -129,10 +131,11 @@ def _children(yaml: Any, node: Any) -> list[Any]:
 def _check_keys(yaml: Any, node: Any) -> None:
     if not isinstance(node, yaml.MappingNode):
         return
-    seen: set[tuple[str, str]] = set()
+    seen: set[str] = set()
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
             raise _RefusedError("has a key that is no plain value", key)
-        if (key.tag, key.value) in seen:
+        if key.value in seen:
             raise _RefusedError(f"has the key {key.value[:60]!r} twice", key)
-        seen.add((key.tag, key.value))
+        seen.add(key.value)
+        key.tag = _TEXT

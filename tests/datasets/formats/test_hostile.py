@@ -195,9 +195,9 @@ def test_yaml_that_means_harm_is_refused(tmp_path, monkeypatch, name, text, mess
 
 
 def test_aliases_as_programs_write_them_are_read(tmp_path):
-    text = "a: &id001 {x: 1}\nb: *id001\nc: 2020-01-01\nd: yes\n<<: {e: 1.5}\n"
+    text = "a: &id001 {x: 1}\nb: *id001\nc: 2020-01-01\nd: yes\n<<: {e: 1.5}\n7: {no: x}\n"
     told = safeyaml.loads(text, tmp_path / "a.yaml")
-    assert told == {"a": {"x": 1}, "b": {"x": 1}, "c": "2020-01-01", "d": True, "<<": {"e": 1.5}}
+    assert told == {"a": {"x": 1}, "b": {"x": 1}, "c": "2020-01-01", "d": True, "<<": {"e": 1.5}, "7": {"no": "x"}}
 
 
 @pytest.mark.parametrize("number", ["1e400", "-1e300", "NaN", "9" * 400])

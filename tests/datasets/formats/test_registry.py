@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from mapfuse.datasets.errors import ConfigError, FileFormatError, InputError, OutputError
+from mapfuse.datasets.errors import ConfigError, FileFormatError, InputError, MapfuseError, OutputError
 from mapfuse.datasets.formats import contents, format_of, formats, read_all, read_any, without, write_any
 from mapfuse.datasets.formats.contents import SORTS
 from mapfuse.datasets.formats.registry import split_part, writer_of
@@ -31,14 +31,15 @@ SAMPLES = {
 }
 
 
-@pytest.mark.parametrize("name", SAMPLES)
-@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize(
+    # mapfuse's own maps aren't packed
+    ("name", "packed"),
+    [(name, packed) for name in SAMPLES for packed in (False, True) if not (packed and name == "map")],
+)
 def test_a_file_is_taken_for_what_it_holds(tmp_path, name, packed):
     file_name, text = SAMPLES[name]
     path = tmp_path / (file_name + ".gz" * packed)
     path.write_bytes(gzip.compress(text.encode()) if packed else text.encode())
-    if packed and name == "map":
-        pytest.skip("mapfuse's own maps aren't packed")
     found = format_of(path)
     assert found.name == name
     map_ = read_any(path)[0]
@@ -162,3 +163,24 @@ def test_without_takes_away_every_sort_that_it_names():
     for sort in contents(map_):
         if sort not in ("name", "ids", "types"):
             assert sort not in contents(without(map_, [sort]))
+
+
+@pytest.mark.parametrize(
+    ("name", "library", "extra"),
+    [
+        ("parquet", "pyarrow", "parquet"),
+        ("rosbag", "rosbags.rosbag2", "rosbag"),
+        ("graphnav", "bosdyn.api.graph_nav", "graphnav"),
+    ],
+)
+def test_a_missing_library_is_said_with_how_to_get_it(tmp_path, monkeypatch, name, library, extra):
+    monkeypatch.setitem(sys.modules, library, None)
+    (tmp_path / "graph").write_bytes(b"x")
+    assert next(one.extra for one in formats() if one.name == name) == extra
+    with pytest.raises(MapfuseError, match=rf"pip install 'mapfuse\[{extra}\]'"):
+        read_any(tmp_path / "graph", format=name)
+
+
+def test_a_folder_that_is_no_set_of_mrclam_is_said(tmp_path):
+    with pytest.raises(InputError, match="is no folder of MRCLAM"):
+        read_any(tmp_path, format="mrclam")
