@@ -62,6 +62,14 @@ def contents(map_: LandmarkMap) -> tuple[str, ...]:
     return tuple(sort for sort, held in _HELD.items() if held(map_))
 
 
+def extra_keys(map_: LandmarkMap) -> set[str]:
+    """All keys that our own format doesn't know, of the map, its landmarks and their links."""
+    own = set(map_.extra)
+    for landmark in map_.landmarks:
+        own.update(landmark.extra, *(link.extra for link in landmark.links))
+    return own
+
+
 _MAP_DEFAULTS: Mapping[str, dict[str, Any]] = {
     "robot": {"robot": None},
     "recorded_at": {"recorded_at": None},
