@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
+from ..arms import heading_of
 from ..maps import Landmark, LandmarkMap, Link, Noise
 
 
@@ -17,10 +18,6 @@ def _any_landmark(map_: LandmarkMap, test: Callable[[Landmark], bool]) -> bool:
     return any(map(test, map_.landmarks))
 
 
-def _own_heading(landmark: Landmark) -> bool:
-    return landmark.heading is not None
-
-
 _HELD: Mapping[str, Callable[[LandmarkMap], bool]] = {
     "name": lambda m: True,
     "robot": lambda m: m.robot is not None,
@@ -28,7 +25,7 @@ _HELD: Mapping[str, Callable[[LandmarkMap], bool]] = {
     "landmarks": lambda m: bool(m.landmarks),
     "ids": lambda m: bool(m.landmarks),
     "types": lambda m: bool(m.landmarks),
-    "heading": lambda m: _any_landmark(m, _own_heading),
+    "heading": lambda m: _any_landmark(m, lambda l: heading_of(l) is not None),
     "arms": lambda m: _any_link(m, lambda link: link.connected_to_id is None or link.type != "unknown"),
     "ways": lambda m: _any_link(m, lambda link: link.connected_to_id is not None),
     "distances": lambda m: _any_link(m, lambda link: link.distance is not None),
@@ -62,6 +59,14 @@ def contents(map_: LandmarkMap) -> tuple[str, ...]:
     return tuple(sort for sort, held in _HELD.items() if held(map_))
 
 
+def extra_keys(map_: LandmarkMap) -> set[str]:
+    """All keys that our own format doesn't know, of the map, its landmarks and their links."""
+    own = set(map_.extra)
+    for landmark in map_.landmarks:
+        own.update(landmark.extra, *(link.extra for link in landmark.links))
+    return own
+
+
 _MAP_DEFAULTS: Mapping[str, dict[str, Any]] = {
     "robot": {"robot": None},
     "recorded_at": {"recorded_at": None},
@@ -91,7 +96,8 @@ _LINK_DEFAULTS: Mapping[str, dict[str, Any]] = {
 def without(map_: LandmarkMap, lost: Collection[str]) -> LandmarkMap:
     """The map without some sorts of things (of `SORTS`), as a format that loses them gives it back.
 
-    Names, ids and types stay: a format that loses these gives new ones.
+    Names, ids and types stay: a format that loses these gives new ones. A landmark whose arms go keeps the heading
+    that they gave it, unless headings go too.
 
     >>> without(LandmarkMap("D7", (Landmark("c1", "corner", 0.0, 0.0, existence=0.9),)), ["existence"])["c1"].existence
     """
@@ -108,6 +114,8 @@ def _less(landmark: Landmark, lost: Collection[str]) -> Landmark:
     changes = _gathered(_LANDMARK_DEFAULTS, lost)
     links = tuple(less for link in landmark.links if (less := _less_link(link, lost)) is not None)
     covariance = landmark.covariance
+    if "arms" in lost and "heading" not in lost:
+        changes["heading"] = heading_of(landmark)
     if "heading" in lost and covariance is not None:
         changes.setdefault("covariance", covariance[:2, :2])
     return replace(landmark, links=links, **changes)

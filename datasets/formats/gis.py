@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arms import heading_of
 from ..files import write_whole
 from ..jsondata import decode, encode
 from ..mapfile import map_from_dict
@@ -125,8 +126,8 @@ def _feature(shape: str, coordinates: list[Any], **properties: Any) -> dict[str,
 
 def _told(landmark: Landmark) -> dict[str, Any]:
     told: dict[str, Any] = {"id": landmark.id, "type": landmark.type}
-    if landmark.heading is not None:
-        told["heading"] = float(landmark.heading)
+    if (heading := heading_of(landmark)) is not None:
+        told["heading"] = float(heading)
     if landmark.covariance is not None:
         told["covariance"] = landmark.covariance.tolist()
     if landmark.existence is not None:

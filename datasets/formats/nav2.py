@@ -18,11 +18,13 @@ from ..jsondata import decode, encode
 from ..maps import Landmark, LandmarkMap
 from .checks import Checker
 from .gis import LOCAL_CRS
-from .graphs import WAYPOINT, Node, Way, graph_map, ways_of
+from .graphs import WAYPOINT, WAYS, Node, Way, graph_map, ways_of
 from .heads import plain_name, read_bytes, stem
 from .reading import Reading
 
 KEY = "nav2"
+#: What is written of ``extra``.
+KEPT = frozenset((KEY, WAYS))
 ENDINGS = (".nav2.geojson", ".geojson", ".json")
 ID, TYPE = "mapfuse_id", "mapfuse_type"
 

@@ -7,7 +7,7 @@ A format is a row in `FORMATS` and a module of this folder, which is imported wh
 - ``read(path, **options) -> Reading``: raises `InputError` where it can't be read, `FileFormatError` where it is
   broken; what is odd but leaves a valid rest is a remark. Of a format with ``several`` maps in a file, ``part`` is one
   of the options: the only map that is wanted, or None.
-- ``write(map, path) -> None``: whole or not at all.
+- ``write(map, path) -> None``: whole or not at all. ``KEPT``: keys of ``extra`` that it writes, if there are any.
 
 The first format that detects a file has it, so that those with a mark of their own stand first.
 """
@@ -25,7 +25,7 @@ from typing import Any
 from ..errors import ConfigError, FileFormatError, InputError, OutputError, Problem
 from ..mapfile import validate
 from ..maps import LandmarkMap, Noise
-from .contents import SORTS, contents
+from .contents import SORTS, contents, extra_keys
 from .heads import head_of
 from .reading import Reading
 
@@ -66,8 +66,10 @@ class Format:
         self._module().write(map_, Path(path))
 
     def lost_from(self, map_: LandmarkMap) -> tuple[str, ...]:
-        """What of this map the format can't hold."""
-        return tuple(sort for sort in contents(map_) if sort in self.lost)
+        """What of this map the format can't hold; unknown keys are no loss where all are the format's own."""
+        kept: frozenset[str] = getattr(self._module(), "KEPT", frozenset())
+        held = "extra" in self.lost and extra_keys(map_) <= kept
+        return tuple(sort for sort in contents(map_) if sort in self.lost and not (sort == "extra" and held))
 
     def _module(self) -> ModuleType:
         return import_module(f".{self.module}", __package__)

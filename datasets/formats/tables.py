@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arms import wrap
+from ..arms import heading_of, wrap
 from ..mapfields import LANDMARK
 from ..maps import Landmark, LandmarkMap
 from ..rules import covariance_fault
@@ -206,7 +206,7 @@ def titles_of(map_: LandmarkMap) -> list[str]:
     """The columns that a map needs."""
     marks = map_.landmarks
     wanted = ["id", "type", "x", "y"]
-    wanted += ["heading"] * any(l.heading is not None for l in marks)
+    wanted += ["heading"] * any(heading_of(l) is not None for l in marks)
     wanted += list(_POSITION) * any(l.covariance is not None for l in marks)
     wanted += list(_HEADING) * any(l.covariance is not None and len(l.covariance) == 3 for l in marks)
     wanted += ["existence"] * any(l.existence is not None for l in marks)
@@ -222,7 +222,7 @@ def rows_of(map_: LandmarkMap) -> tuple[list[str], list[list[Any]]]:
 
 def _value(landmark: Landmark, title: str) -> Any:
     if not title.startswith("cov_"):
-        value = getattr(landmark, title)
+        value = heading_of(landmark) if title == "heading" else getattr(landmark, title)
         return float(value) if title in ("x", "y", "heading", "existence") and value is not None else value
     axes = ["xyt".index(letter) for letter in title.removeprefix("cov_")]
     covariance = landmark.covariance

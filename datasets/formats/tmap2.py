@@ -18,11 +18,13 @@ from ..files import write_whole
 from ..maps import Landmark, LandmarkMap
 from . import safeyaml
 from .checks import Checker
-from .graphs import WAYPOINT, Node, Way, graph_map, ways_of
+from .graphs import WAYPOINT, WAYS, Node, Way, graph_map, ways_of
 from .heads import plain_name, stem
 from .reading import Reading, remark
 
 KEY = "tmap2"
+#: What is written of ``extra``.
+KEPT = frozenset((KEY, WAYS))
 #: Property of a node that says a landmark's type, where it is no mere waypoint.
 TYPE = "mapfuse_type"
 ENDINGS = (".tmap2.yaml", ".tmap2", ".tplg", ".tmap", ".yaml", ".yml")

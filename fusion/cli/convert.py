@@ -52,9 +52,11 @@ def _map(source: Path, source_format: str | None, given: dict[str, str], group: 
         return anymap.read_one(source, given, source_format)
     if given:
         raise UsageError(f"--set: is for maps of other formats, and {source} is a result")
-    # a file of a result has no joint covariance, without which a map that can be fused again would claim too much
     if to_own:
-        return fused.to_map(group)
+        raise UsageError(
+            f"{source}: the file of a result has no joint covariance, without which a map that can be fused again "
+            "would claim too much; `mapfuse fuse MAPS --map OUT.map.json` writes it"
+        )
     from mapfuse.fusion.tomap import without_joint_covariance
 
     return without_joint_covariance(fused, group)

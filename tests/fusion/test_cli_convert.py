@@ -52,6 +52,8 @@ def test_a_recorded_map_is_converted_to_every_format(command, tmp_path, capsys, 
     assert f"wrote {target} as " in said.out
     assert f"({name})" in said.out
     assert ("lost: " in said.out) == (name != "map")
+    if name in {one.name for one in formats() if one.reads}:
+        assert len(read_any(target)[0]) == len(map_)
     assert target.stat().st_size > 50
 
 

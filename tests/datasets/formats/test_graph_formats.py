@@ -76,7 +76,8 @@ def test_nav2_ways_beyond_four_are_kept_and_written(tmp_path):
     assert [link.connected_to_id for link in map_["0"].links] == ["1", "2", "3", "4"]
     assert [way["to"] for way in map_["0"].extra[WAYS]] == ["5", "6"]
     assert "nodes with more than 4 ways (0)" in reading.remarks[0]
-    write_any(map_, tmp_path / "back.geojson")
+    assert write_any(map_, tmp_path / "back.geojson")[1] == ()  # its own keys are no loss
+    assert write_any(map_, tmp_path / "back.tmap2.yaml")[1] == ("extra",)
     written = json.loads((tmp_path / "back.geojson").read_text())
     ends = sorted(f["properties"]["endid"] for f in written["features"] if "startid" in f["properties"])
     assert ends == [1, 2, 3, 4, 5, 6]

@@ -31,10 +31,12 @@ def maps(draw):
     joined = {(a, b) for a, b in ways if a != b} | {(b, a) for a, b in ways if a != b}
     landmarks = []
     for number, identifier in enumerate(ids):
-        headed = draw(st.booleans())
-        covariance = draw(st.none() | covariances(3 if headed else 2))
+        headed, armed = draw(st.booleans()), draw(st.booleans())
         ends = sorted(b for a, b in joined if a == identifier)[:4]
-        links = [Link("open", connected_to_id=end, distance=1.5, travel_counter=2) for end in ends]
+        arms = [draw(ANGLES) if armed else None for _ in ends]
+        links = [Link("open", arm, None, end, 1.5, 2) for arm, end in zip(arms, ends, strict=True)]
+        armed = armed and bool(ends)
+        covariance = draw(st.none() | covariances(3 if headed or armed else 2))
         landmarks.append(
             Landmark(
                 identifier,
@@ -42,7 +44,7 @@ def maps(draw):
                 # apart from each other: places alike are a matter of other tests
                 draw(COORDINATES) + 3e4 * number,
                 draw(COORDINATES),
-                heading=draw(ANGLES) if headed else None,
+                heading=draw(ANGLES) if headed and not armed else None,
                 links=tuple(links),
                 visit_counter=draw(st.integers(1, 5)),
                 covariance=covariance,
