@@ -98,8 +98,8 @@ class Outcome:
     ``right``: the first hypothesis is the true one (None where the maps show different floors); ``listed``: one of them
     is. ``rivals``: hypotheses with a probability of 0.01 or more. ``count_margin``: matches of paper mode's best less
     those of its second. ``nees`` of T12 and of one landmark, of merges. ``raw``: evidence of the first [nats].
-    ``existence``: of each recorded landmark that is in one map alone (probability, whether it is there, whether the
-    other robot could have seen it).
+    ``existence`` of each fused landmark of a merge: its probability, whether it is there, and whether the other robot
+    could have refuted it, having passed there.
     """
 
     pair_class: str
@@ -176,9 +176,11 @@ def run_pair(job: tuple[str, int, FuseConfig]) -> Outcome:
 
 
 def _existence(fused: FusedMap, truth: Truth) -> tuple[tuple[float, bool, bool], ...]:
-    """Of every fused landmark: its probability of existence, whether it is there, whether one map alone has it."""
+    """Of every fused landmark: existence, whether it is there, whether the other robot could have refuted it."""
+    missed = {(name, i) for name, ids in fused.pairs[0].hypotheses[0].missed.items() for i in ids}
     found = []
     for landmark in fused.landmarks:
-        places = [truth.landmarks[name][i] for name, ids in landmark.sources.items() for i in ids]
-        found.append((landmark.existence, any(place is not None for place in places), len(places) == 1))
+        recorded = [(name, i) for name, ids in landmark.sources.items() for i in ids]
+        there = any(truth.landmarks[name][i] is not None for name, i in recorded)
+        found.append((landmark.existence, there, len(recorded) == 1 and recorded[0] in missed))
     return tuple(found)

@@ -13,13 +13,16 @@ if TYPE_CHECKING:
     from .config import FuseConfig
     from .fusedfile import read_fused, write_fused
     from .groups import fuse
+    from .known import KnownTransform, as_reference
     from .result import FusedMap
 
-__all__ = ["FuseConfig", "FusedMap", "fuse", "read_fused", "write_fused"]
+__all__ = ["FuseConfig", "FusedMap", "KnownTransform", "as_reference", "fuse", "read_fused", "write_fused"]
 
 _MODULE_FROM_NAME = {
     "FuseConfig": "config",
     "FusedMap": "result",
+    "KnownTransform": "known",
+    "as_reference": "known",
     "fuse": "groups",
     "read_fused": "fusedfile",
     "write_fused": "fusedfile",

@@ -72,11 +72,11 @@ def covered(start1, end1, start2, end2, width, cosine):
 
 @kernel
 def blocked_ways(by, arm, passable, turn, start, end, angle):
-    """How many blocked arms of passed landmarks point along the other robot's way, within ``angle`` [rad].
+    """How many blocked arms of each passed landmark (n,) point along the other robot's way, within ``angle`` [rad].
 
     ``by`` (n, segments): which segments pass which landmark; ``turn`` [rad]: of the arms' map in the segments' frame.
     """
-    count = 0
+    count = np.zeros(len(by), np.intp)
     for s in range(len(start)):
         way = np.arctan2(end[s, 1] - start[s, 1], end[s, 0] - start[s, 0])
         for k in range(len(by)):
@@ -89,8 +89,8 @@ def blocked_ways(by, arm, passable, turn, start, end, angle):
                 off = abs((arm[k, a] + turn - way + np.pi) % TWO_PI - np.pi)
                 ahead |= off < angle
                 behind |= np.pi - off < angle
-            count += ahead
-            count += behind
+            count[k] += ahead
+            count[k] += behind
     return count
 
 

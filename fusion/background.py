@@ -17,6 +17,7 @@ from .regularity import Gaps, Regularity
 
 Array = NDArray[np.float64]
 
+CORNER = "corner"
 #: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
 ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
 
@@ -41,6 +42,16 @@ class Background:
     def points2(self) -> NDArray[np.bool_]:
         """Which landmarks of map 2 are point landmarks (n2,)."""
         return _point_like(self.m2)
+
+    @cached_property
+    def corners1(self) -> NDArray[np.bool_]:
+        """Which landmarks of map 1 are corners or ends of corridors by their type (n1,)."""
+        return np.array([name == CORNER for name in self.m1.map.types], dtype=bool)
+
+    @cached_property
+    def corners2(self) -> NDArray[np.bool_]:
+        """Which landmarks of map 2 are corners or ends of corridors by their type (n2,)."""
+        return np.array([name == CORNER for name in self.m2.map.types], dtype=bool)
 
     @cached_property
     def area1(self) -> SeenArea:

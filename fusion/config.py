@@ -36,12 +36,14 @@ class SolvingConfig:
     ``match_odds`` [nats]: a match is accepted when its density beats the local density of landmarks by this.
     ``max_rounds``: rounds of re-association before a growing match must stand still.
     ``shortlist``: how many of the best hypotheses get a full graph.
+    ``estimate_noise``: whether each map's stated sigmas are multiplied by what its own residuals say of them.
     """
 
     gate_probability: float = 0.999
     match_odds: float = 0.0
     max_rounds: int = 12
     shortlist: int = 4
+    estimate_noise: bool = False
 
     def __post_init__(self) -> None:
         _check(

@@ -36,7 +36,8 @@ class Terms:
     that coincide. ``regular``: what corridor landmarks are worth less in a regular building. ``misses``: landmarks the
     other robot passed and didn't record. ``void``: emptiness both agree on.
     ``arms``: blocked arms that the other robot drove through, or that contradict. ``compass``: agreement of north.
-    ``known``: landmarks that the maps themselves say are the same (``same_as``).
+    ``known``: landmarks that the maps themselves say are the same (``same_as``). ``stated``: agreement with what the
+    user knows of T12 (`mapfuse.fusion.known.KnownTransform`).
     """
 
     prior: float = 0.0
@@ -48,6 +49,7 @@ class Terms:
     arms: float = 0.0
     compass: float = 0.0
     known: float = 0.0
+    stated: float = 0.0
 
     @property
     def total(self) -> float:
@@ -62,7 +64,8 @@ class Weighed:
     ``apart`` [nats]: what tells it from an alias of the right place whatever is missing: blocked arms and compass.
     ``lacking`` (6,): what is there and what is missing, as the odds of an alias that lacks each of
     `mapfuse.fusion.repetition.LACKING`. ``missed1``, ``missed2``: landmarks of map 1, map 2 that the other robot passed
-    without recording them.
+    without recording them; ``through1``, ``through2``: how many blocked arms of each of these it drove through
+    (`mapfuse.fusion.passing.Passing`).
     """
 
     growth: Growth
@@ -71,6 +74,8 @@ class Weighed:
     lacking: Array
     missed1: tuple[int, ...]
     missed2: tuple[int, ...]
+    through1: tuple[int, ...] = ()
+    through2: tuple[int, ...] = ()
 
     @property
     def log_odds(self) -> float:
@@ -127,4 +132,5 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
         lacking_odds(hits, gone),
         tuple(way.missed1.tolist()),
         tuple(way.missed2.tolist()),
+        *way.of_missed,
     )

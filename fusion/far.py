@@ -62,7 +62,7 @@ def put_back(
         fused,
         pairs=tuple(_pair(pair, origins[pair.maps[0]], origins[pair.maps[1]], mixture) for pair in fused.pairs),
         frames={
-            name: replace(frame, T=_transform(frame.T, reference[frame.group], origins[name]))
+            name: replace(frame, T=carried(frame.T, reference[frame.group], origins[name]))
             for name, frame in fused.frames.items()
         },
         landmarks=tuple(
@@ -73,7 +73,7 @@ def put_back(
     )
 
 
-def _transform(T12: Transform, origin1: Array, origin2: Array) -> Transform:
+def carried(T12: Transform, origin1: Array, origin2: Array) -> Transform:
     """T12 between coordinates whose origins were at ``origin1``, ``origin2``, between those that they stood in."""
     from2 = np.array([*-origin2, 0.0])
     pose = se2.compose(T12.array, from2) + np.array([*origin1, 0.0])
@@ -88,6 +88,6 @@ def _pair(
 ) -> PairResult:
     if not pair.hypotheses:
         return pair
-    hypotheses = tuple(replace(h, T12=_transform(h.T12, origin1, origin2)) for h in pair.hypotheses)
+    hypotheses = tuple(replace(h, T12=carried(h.T12, origin1, origin2)) for h in pair.hypotheses)
     spread = mixture([h.T12 for h in hypotheses], np.array([h.probability for h in hypotheses]))
     return replace(pair, hypotheses=hypotheses, mixture_covariance=spread)

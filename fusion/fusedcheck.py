@@ -21,6 +21,7 @@ from mapfuse.datasets.maps import LandmarkMap, Link
 from mapfuse.datasets.rules import (
     ANGLE,
     COUNT,
+    NOT_NEGATIVE,
     NUMBER,
     PROBABILITY,
     TEXT,
@@ -34,7 +35,7 @@ from mapfuse.datasets.rules import (
 from mapfuse.datasets.se2 import wrap
 from mapfuse.datasets.transform import Transform
 
-from .result import Frame, FusedLandmark, FusedMap, PairResult, RankedHypothesis
+from .result import Frame, FusedLandmark, FusedMap, NoiseFit, PairResult, RankedHypothesis
 
 FORMAT = "mapfuse.fused/1"
 
@@ -148,11 +149,26 @@ LANDMARK: _Checks = {
 }  # fmt: skip
 _LANDMARK_REQUIRED = ("id", "group", "type", "x", "y", "covariance", "sources", "existence")
 LINK_CHECKS: _Checks = {name: field.rule.check for name, field in LINK.items()}
+
+
+def _noise_fit(value: Any) -> NoiseFit:
+    """How a map fits its noise; what follows from these numbers is worked out again."""
+    numbers = _by_name("names and numbers", _number_or_what_follows)(value)
+    if lacking := [name for name in ("chi2", "redundancy", "used") if not isinstance(numbers.get(name), float)]:
+        raise RuleError(((lacking[0],), "is missing"))
+    return NoiseFit(*(numbers[name] for name in ("chi2", "redundancy", "used")))
+
+
+def _number_or_what_follows(value: Any) -> float | None:
+    return None if isinstance(value, bool | list) else float(NOT_NEGATIVE.check(value))
+
+
 FUSED: _Checks = {
     "decision": one_of("merged", "partial", "ambiguous", "no_overlap").check,
     "probability": PROBABILITY.check,
     "maps": _words,
     "groups": _listed("lists of map names", Rule(_words, {}), unique=False),
+    "noise": _by_name("map names", _noise_fit),
     "provenance": _object,
 }
 NESTED = ("format", "frames", "pairs", "landmarks", "sources")

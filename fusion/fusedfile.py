@@ -21,7 +21,7 @@ from mapfuse.datasets.maps import Link
 from mapfuse.datasets.transform import Transform
 
 from .fusedcheck import FORMAT, FRAME, FUSED, HYPOTHESIS, LANDMARK, NESTED, PAIR, TRANSFORM, check_fused
-from .result import FusedLandmark, FusedMap, PairResult, RankedHypothesis
+from .result import FusedLandmark, FusedMap, NoiseFit, PairResult, RankedHypothesis
 
 
 def read_fused(path: str | Path) -> FusedMap:
@@ -95,12 +95,26 @@ def _document(fused: FusedMap) -> dict[str, Any]:
         },
         "pairs": [_pair(pair) for pair in fused.pairs],
         "landmarks": [_landmark(landmark) for landmark in fused.landmarks],
+        **({"noise": {name: _noise(fit) for name, fit in fused.noise.items()}} if fused.noise else {}),
         "provenance": _plain(fused.provenance),
         **_extra(fused.extra, (*FUSED, *NESTED)),
     }
     if fused.sources:
         document["sources"] = {name: map_to_dict(map_) for name, map_ in fused.sources.items()}
     return document
+
+
+def _noise(fit: NoiseFit) -> dict[str, Any]:
+    """With what follows from it, for other programs; an unbounded interval is left out."""
+    low, high = fit.interval
+    return {
+        "chi2": float(fit.chi2),
+        "redundancy": float(fit.redundancy),
+        "used": float(fit.used),
+        "scale": fit.scale,
+        **({"interval": [low, high]} if high < float("inf") else {}),
+        "stated_can_be_true": fit.can_be_true,
+    }
 
 
 def _extra(extra: Mapping[str, Any], known: Collection[str]) -> dict[str, Any]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import combinations
 from typing import Any
@@ -22,15 +22,18 @@ from mapfuse.datasets.transform import Transform
 from .config import FuseConfig
 from .consistent import Choice
 from .existence import existence
-from .far import middle, put_back, shifted
+from .far import carried, middle, put_back, shifted
 from .joint import referred_to
+from .known import KnownTransform, check_known_maps
 from .members import Emptiness, Members
 from .merge import Place, merged_landmarks
+from .noisefit import noise_fits, scaled
 from .pairresult import mixture, pair_result
 from .pairwise import compare
 from .prepared import PreparedMap, prepare
-from .result import Decision, Frame, FusedLandmark, FusedMap, PairResult
+from .result import Decision, Frame, FusedLandmark, FusedMap, NoiseFit, PairResult
 from .settle import settled
+from .solve import Solution
 from .told import told
 
 Array = NDArray[np.float64]
@@ -38,16 +41,22 @@ Array = NDArray[np.float64]
 #: A map that reaches further than this [m] from its middle is refused.
 LARGEST_MAP_M = 1e6
 
+#: How often maps are fused again with the noise that their residuals speak for, and by how much [log] two scales may
+#: differ and be the same.
+NOISE_ROUNDS, SAME_SCALE = 3, 0.03
+
 AT_HOME = Transform(0.0, 0.0, 0.0, np.zeros((3, 3)))
 
 
-def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> FusedMap:
+def fuse(
+    maps: Sequence[LandmarkMap], config: FuseConfig | None = None, known: Sequence[KnownTransform] = ()
+) -> FusedMap:
     """Fuse recorded maps, whose relative poses are unknown, into one with its uncertainty.
 
     Every pair is compared; what can be true together is merged into groups, each solved as one graph of landmarks. The
     result does not depend on the order of the maps, up to the choice of reference: a group is in the frame of its
     first map. Maps that are merged with none stand in their own frames. Overlap need not exist: ``decision`` says what
-    the evidence suffices for.
+    the evidence suffices for. ``known``: about where some maps lie in others.
 
     Raises `MapfuseError` for no map, and for two maps of one name; `MapError` for a map that breaks a rule of the
     format; `TooLargeError` where joint covariances would not fit.
@@ -61,17 +70,35 @@ def fuse(maps: Sequence[LandmarkMap], config: FuseConfig | None = None) -> Fused
     config = config or FuseConfig()
     maps = tuple(maps)
     _check(maps)
+    check_known_maps(known, {m.name for m in maps})
     origins = {m.name: middle(m) for m in maps}
+    known = [replace(k, T12=carried(k.T12, *(-origins[name] for name in k.maps))) for k in known]
     near = tuple(shifted(m, origins[m.name]) for m in maps)
-    return put_back(_fuse(near, _provenance(maps, config), config), maps, origins, mixture)
+    provenance = _provenance(maps, config)
+    scales = dict.fromkeys(origins, 1.0)
+    fused = _fuse(near, scales, known, provenance, config)
+    for _ in range(NOISE_ROUNDS if config.solving.estimate_noise else 0):
+        before, scales = scales, {name: fit.estimate for name, fit in fused.noise.items()}
+        if all(abs(np.log(scales[name] / before[name])) < SAME_SCALE for name in scales):
+            break
+        fused = _fuse(near, scales, known, provenance, config)
+    return put_back(fused, maps, origins, mixture)
 
 
-def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: FuseConfig) -> FusedMap:
-    prepared = {m.name: prepare(m, config.solving, np.deg2rad(config.evidence.corridor_angle_deg)) for m in maps}
+def _fuse(
+    maps: tuple[LandmarkMap, ...],
+    scales: Mapping[str, float],
+    known: Sequence[KnownTransform],
+    provenance: dict[str, Any],
+    config: FuseConfig,
+) -> FusedMap:
+    """Fuse maps whose stated standard deviations are multiplied by ``scales``, by name."""
+    angle = np.deg2rad(config.evidence.corridor_angle_deg)
+    prepared = {m.name: prepare(scaled(m, scales[m.name]), config.solving, angle) for m in maps}
     # one order of work whatever the order of input, so that the answer is the same to the last digit
     pairs = list(combinations(sorted(prepared), 2))
     comparisons = {
-        (a, b): compare(prepared[a], prepared[b], config, keep_solution=len(pairs) == 1)
+        (a, b): compare(prepared[a], prepared[b], config, known=known, keep_solution=len(pairs) == 1)
         for a, b in told(pairs, "pairs of maps compared")
     }
     emptiness = Emptiness(prepared, config.evidence)
@@ -80,6 +107,7 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
     rank = {name: k for k, name in enumerate(names)}
     groups: list[_Group] = []
     frames: dict[str, Frame] = {}
+    noise: dict[str, NoiseFit] = {}
     for members in sorted(choice.groups, key=lambda group: min(rank[name] for name in group)):
         listed = tuple(sorted(members, key=rank.__getitem__))
         before = sum(len(group.landmarks) for group in groups)
@@ -87,8 +115,10 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
         if joint is None:
             groups.append(_alone(prepared[listed[0]], len(groups), before))
             frames[listed[0]] = Frame(len(groups) - 1, AT_HOME)
+            noise |= _noise(listed, prepared[listed[0]].solution, scales)
             continue
         joint = referred_to(joint, members.index(listed[0]), config.solving)
+        noise |= _noise(members, joint.solution, scales)
         group = Members(members, joint, comparisons, choice, emptiness)
         groups.append(_merged(group, listed, len(groups), before))
         for name in listed:
@@ -100,7 +130,15 @@ def _fuse(maps: tuple[LandmarkMap, ...], provenance: dict[str, Any], config: Fus
     )
     decision, probability = _overall(results, choice)
     frames = {name: frames[name] for name in names}
-    return _result(maps, decision, probability, results, groups, frames, provenance)
+    noise = {name: noise[name] for name in names}
+    return _result(maps, decision, probability, results, groups, frames, noise, provenance)
+
+
+def _noise(names: Sequence[str], solution: Solution | None, scales: Mapping[str, float]) -> dict[str, NoiseFit]:
+    """How the maps of a solution fit the noise that they state; an empty map has none."""
+    if solution is None:
+        return {name: NoiseFit(0.0, 0.0) for name in names}
+    return dict(zip(names, noise_fits(solution, [scales[name] for name in names]), strict=True))
 
 
 def _overall(pairs: Sequence[PairResult], choice: Choice) -> tuple[Decision, float]:
@@ -154,6 +192,7 @@ def _result(
     pairs: tuple[PairResult, ...],
     groups: Sequence[_Group],
     frames: dict[str, Frame],
+    noise: dict[str, NoiseFit],
     provenance: dict[str, Any],
 ) -> FusedMap:
     return FusedMap(
@@ -166,6 +205,7 @@ def _result(
         landmarks=tuple(landmark for group in groups for landmark in group.landmarks),
         provenance=provenance,
         sources={m.name: m for m in maps},
+        noise=noise,
         joint_covariances=tuple(group.joint for group in groups),
     )
 

@@ -19,8 +19,8 @@ from .consistent import Choice, Pair
 from .existence import existence
 from .joint import Joint
 from .joint import Members as Place
-from .pairwise import Comparison
-from .passing import Passing, emptiness, passing_at
+from .pairwise import Candidate, Comparison
+from .passing import Passing, emptiness, passing_at, per_arm
 from .prepared import PreparedMap
 
 Array = NDArray[np.float64]
@@ -82,24 +82,26 @@ class Members:
         return (*self.joint.shared, *alone)
 
     @cached_property
-    def _missed(self) -> dict[tuple[int, int], set[int]]:
-        """Of each recorded landmark the maps (by place in `names`) whose robots passed without recording it."""
-        found: dict[tuple[int, int], set[int]] = {}
+    def _missed(self) -> dict[tuple[int, int], dict[int, int]]:
+        """Of each recorded landmark the maps (by place in `names`) whose robots passed without recording it, and
+        through how many of its blocked arms they drove."""
+        found: dict[tuple[int, int], dict[int, int]] = {}
         for r, s in combinations(range(len(self.names)), 2):
             pair = (self.names[r], self.names[s])
-            missed1: tuple[int, ...]
-            missed2: tuple[int, ...]
+            way: Candidate | Passing
             if pair in self.choice.chosen:
-                candidate = self.comparisons[pair].candidates[self.choice.chosen[pair]]
-                missed1, missed2 = candidate.missed1, candidate.missed2
+                way = self.comparisons[pair].candidates[self.choice.chosen[pair]]
+                through1, through2 = way.through1, way.through2
             else:
                 frames = [self.joint.solution.frame(n) for n in (r, s)]
                 way = self.emptiness.passing(*pair, np.asarray(se2.between(*frames)))
-                missed1, missed2 = tuple(way.missed1.tolist()), tuple(way.missed2.tolist())
-            for k in missed1:
-                found.setdefault((r, k), set()).add(s)
-            for k in missed2:
-                found.setdefault((s, k), set()).add(r)
+                through1, through2 = (
+                    tuple(t[m].tolist()) for t, m in ((way.through1, way.missed1), (way.through2, way.missed2))
+                )
+            for k, through in zip(way.missed1, through1, strict=True):
+                found.setdefault((r, int(k)), {})[s] = through
+            for k, through in zip(way.missed2, through2, strict=True):
+                found.setdefault((s, int(k)), {})[r] = through
         return found
 
     @cached_property
@@ -114,7 +116,8 @@ class Members:
     def existence(self, place: Place) -> float:
         """Probability that a landmark of the group is there."""
         has = {r for r, _ in place}
-        passed_by = {s for member in place for s in self._missed.get(member, ())} - has
+        passed = {s: n for member in place for s, n in self._missed.get(member, {}).items() if s not in has}
         r, k = place[0]
         seen = [(self.joint.maps[n], m) for n, m in place]
-        return existence(seen, [self.joint.maps[n] for n in sorted(passed_by)], float(self._rates[r][k]))
+        against = per_arm(self.emptiness.config) * sum(passed.values())
+        return existence(seen, [self.joint.maps[n] for n in sorted(passed)], float(self._rates[r][k]), against)

@@ -9,12 +9,11 @@ the trace of ``J Sigma J'``, its whitened Jacobian around the covariance of the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.stats import chi2 as chi_square
 
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap
 from mapfuse.factors import (
@@ -28,66 +27,18 @@ from mapfuse.factors import (
 )
 from mapfuse.factors.axes import pose_rotations
 
+from .result import NoiseFit
 from .solve import Solution
 
 Array = NDArray[np.float64]
 
-#: A scale is believed to differ from 1 where that leaves the residuals this improbable.
-IMPROBABLE = 1e-3
-#: Redundant measurements that an estimate assumes besides those it has, all as stated, so that few don't decide.
-AS_STATED = 4.0
-#: Less redundancy than this says nothing.
-LEAST_REDUNDANCY = 1.0
-
 _OF_ONE_MAP = (LinkMeasurement, RangeMeasurement, FrameAnchor, HeadingPrior, JointMeasurement)
 
 
-@dataclass(frozen=True, slots=True)
-class NoiseFit:
-    """How the measurements of one map fit the noise that it states.
-
-    ``chi2``: sum of their squared whitened residuals; ``redundancy``: what that sum is expected to be. ``used``: by how
-    much the stated sigmas were multiplied before (1: not at all).
-
-    >>> NoiseFit(chi2=120.0, redundancy=30.0).scale
-    2.0
-    """
-
-    chi2: float
-    redundancy: float
-    used: float = 1.0
-
-    @property
-    def scale(self) -> float:
-        """By how much the stated sigmas are too small, as a factor; 1 where nothing can be said."""
-        if self.redundancy < LEAST_REDUNDANCY:
-            return self.used
-        return self.used * float(np.sqrt(self.chi2 / self.redundancy))
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Bounds between which the scale lies with 95 %."""
-        if self.redundancy < LEAST_REDUNDANCY:
-            return 0.0, float("inf")
-        low, high = (float(chi_square.ppf(p, self.redundancy)) for p in (0.975, 0.025))
-        return self.used * float(np.sqrt(self.chi2 / low)), self.used * float(np.sqrt(self.chi2 / high))
-
-    @property
-    def estimate(self) -> float:
-        """The scale to use: `scale`, drawn to 1 by `AS_STATED` measurements where there are few others."""
-        return float(np.sqrt((self.chi2 * self.used**2 + AS_STATED) / (self.redundancy + AS_STATED)))
-
-    @property
-    def can_be_true(self) -> bool:
-        """Whether the stated noise can be the true one."""
-        if self.redundancy < LEAST_REDUNDANCY:
-            return True
-        smaller = float(chi_square.cdf(self.chi2 * self.used**2, self.redundancy))
-        return min(smaller, 1 - smaller) > IMPROBABLE / 2
-
-
-def noise_fits(solution: Solution) -> tuple[NoiseFit, ...]:
+def noise_fits(solution: Solution, used: Sequence[float] | None = None) -> tuple[NoiseFit, ...]:
     """How each map of a solved problem fits its stated noise, in the order of the problem's maps.
+
+    ``used``: by how much the maps' stated sigmas were multiplied before.
 
     Of distances, headings, positions and joint covariances; compass readings, of which steel makes any, are left out.
     """
@@ -112,7 +63,8 @@ def noise_fits(solution: Solution) -> tuple[NoiseFit, ...]:
             of_it = slice(end - count, end)
             chi2[r] += squares[of_it].sum()
             redundancy[r] += measurement.readings - fitted[of_it].sum()
-    return tuple(NoiseFit(float(c), float(max(n, 0.0))) for c, n in zip(chi2, redundancy, strict=True))
+    used = used or [1.0] * len(problem.maps)
+    return tuple(NoiseFit(float(c), float(max(n, 0.0)), u) for c, n, u in zip(chi2, redundancy, used, strict=True))
 
 
 def _map_of(measurement: Measurement) -> int:
@@ -146,7 +98,9 @@ def _fitted(J: csr_array, solution: Solution, thetas: Array) -> Array:
 
 
 def scaled(recorded: LandmarkMap, scale: float) -> LandmarkMap:
-    """The map with all its standard deviations of distances, headings and positions multiplied."""
+    """The map with all its standard deviations of distances, headings and positions multiplied by ``scale``."""
+    if scale == 1.0:
+        return recorded
     names = ("distance_sigma_per_metre", "distance_sigma_floor", "heading_sigma", "position_sigma")
     noise = replace(recorded.noise, **{name: scale * getattr(recorded.noise, name) for name in names})
     joint = recorded.joint_covariance

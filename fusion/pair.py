@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import heading_of
-from mapfuse.datasets.maps import Landmark, LandmarkMap
+from mapfuse.datasets.transform import Transform
 from mapfuse.factors import pair_problem
 from mapfuse.matching.hypothesis import Hypothesis
 from mapfuse.matching.modes import displacement
@@ -21,7 +20,7 @@ from .decide import Verdict, decide
 from .elastic import Joined
 from .evidence import Weighed, weigh
 from .growth import Growth, Pairs, compatible, grow
-from .known import check_known, credited, grow_known, known_pairs
+from .known import agreeing, check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
 from .repetition import repeats
 from .solve import Solution, solve
@@ -44,24 +43,6 @@ class PairOutcome:
     background: Background
     verdict: Verdict
     solutions: dict[int, Solution]
-
-
-def straightened(m: PreparedMap) -> LandmarkMap:
-    """The recorded map with positions and arm headings at its own optimum, for the matcher."""
-    landmarks = []
-    for landmark, (x, y), heading in zip(m.map.landmarks, m.positions, m.headings, strict=True):
-        turn = 0.0 if np.isnan(heading) else float(heading) - (heading_of(landmark) or 0.0)
-        landmarks.append(_turned(replace(landmark, x=float(x), y=float(y)), turn))
-    return m.map.replace(landmarks=tuple(landmarks))
-
-
-def _turned(landmark: Landmark, turn: float) -> Landmark:
-    links = tuple(
-        link if link.heading is None else replace(link, heading=float(se2.wrap(link.heading + turn)))
-        for link in landmark.links
-    )
-    heading = None if landmark.heading is None else float(se2.wrap(landmark.heading + turn))
-    return replace(landmark, links=links, heading=heading)
 
 
 def grow_all(
@@ -149,13 +130,17 @@ def _decided(weighed: list[Weighed], background: Background, config: FuseConfig)
     return decide(weighed, alias, config.evidence, config.decision)
 
 
-def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutcome:
-    """Propose, grow, weigh, solve, decide."""
+def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, stated: Transform | None = None) -> PairOutcome:
+    """Propose, grow, weigh, solve, decide; ``stated``: what the user knows of T12, with its covariance."""
+
+    def told(w: Weighed) -> Weighed:
+        return agreeing(credited(w, known), m1, m2, stated)
+
     background = Background(m1, m2)
-    hypotheses = propose(straightened(m1), straightened(m2), config.matching)
+    hypotheses = propose(m1.straightened, m2.straightened, config.matching)
     known = known_pairs(m1.map, m2.map)
     grown = grow_all(m1, m2, hypotheses, config.solving, known)
-    weighed = [credited(weigh(g, background, config.evidence), known) for g in grown]
+    weighed = [told(weigh(g, background, config.evidence)) for g in grown]
     weighed = _distinct(weighed, config.matching.tolerance_m)
     verdict = _decided(weighed, background, config)
     solved: dict[int, tuple[Weighed, Solution]] = {}
@@ -163,7 +148,7 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutco
         if probability >= NEGLIGIBLE:  # what cannot be the answer keeps the elastic match's T12
             solved[id(w)] = _solved(w, background, config)
     first = verdict.ranked
-    again = [credited(solved[id(w)][0], known) if id(w) in solved else w for w in first]
+    again = [told(solved[id(w)][0]) if id(w) in solved else w for w in first]
     verdict = _decided(again, background, config)
     check_known(verdict.ranked, m1, m2, known)
     solutions = {

@@ -6,6 +6,7 @@ answers, not of their joint covariances.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from mapfuse.datasets.transform import Transform
 from .config import FuseConfig
 from .evidence import Terms, Weighed
 from .growth import Pairs
+from .known import KnownTransform
 from .pair import PairOutcome, fuse_pair
 from .prepared import PreparedMap
 from .reason import reason
@@ -30,7 +32,8 @@ class Candidate:
     """One way to lay map 2 on map 1.
 
     ``matches``: places (in map 1, in map 2) of the landmarks that are then the same. ``missed1``, ``missed2``:
-    landmarks that the other robot passed unrecorded.
+    landmarks that the other robot passed unrecorded; ``through1``, ``through2``: through how many of their blocked arms
+    it drove (`mapfuse.fusion.passing.Passing`).
     """
 
     T12: Transform
@@ -38,6 +41,8 @@ class Candidate:
     terms: Terms
     missed1: tuple[int, ...] = ()
     missed2: tuple[int, ...] = ()
+    through1: tuple[int, ...] = ()
+    through2: tuple[int, ...] = ()
 
     @property
     def log_odds(self) -> float:
@@ -68,10 +73,18 @@ class Comparison:
     solution: Solution | None = None
 
 
-def compare(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, *, keep_solution: bool = False) -> Comparison:
-    """Compare two prepared maps; the answer is the same whichever is given first."""
+def compare(
+    m1: PreparedMap,
+    m2: PreparedMap,
+    config: FuseConfig,
+    *,
+    known: Sequence[KnownTransform] = (),
+    keep_solution: bool = False,
+) -> Comparison:
+    """Compare two prepared maps; the answer is the same whichever is given first. ``known``: what the user knows."""
     first, second = sorted((m1, m2), key=lambda m: m.map.name)
-    outcome = fuse_pair(first, second, config)
+    of_these = [T for stated in known if (T := stated.between(first.map.name, second.map.name)) is not None]
+    outcome = fuse_pair(first, second, config, of_these[0] if of_these else None)
     verdict = outcome.verdict
     return Comparison(
         maps=(first.map.name, second.map.name),
@@ -95,4 +108,4 @@ def _candidate(outcome: PairOutcome, rank: int, w: Weighed) -> Candidate:
     else:
         T12 = Transform.from_array(joined.T12, joined.T12_covariance)
     matches = tuple(zip(joined.i.tolist(), joined.j.tolist(), strict=True))
-    return Candidate(T12, matches, w.terms, w.missed1, w.missed2)
+    return Candidate(T12, matches, w.terms, w.missed1, w.missed2, w.through1, w.through2)

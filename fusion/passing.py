@@ -27,14 +27,23 @@ END_MARGIN_M = 1.0
 class Passing:
     """Who passed what: places of unmatched landmarks that the other robot passed, and blocked arms driven through.
 
+    ``blocked``: how many blocked arms were driven through. ``through1`` (n1,), ``through2`` (n2,): the same of each
+    landmark, where a corner that the other robot drove straight across counts as one at least, whatever its arms.
     ``overlap`` [m]: corridor that both travelled; ``area_overlap`` [m^2]: where both would have seen points.
     """
 
     missed1: Index
     missed2: Index
     blocked: int
+    through1: Index
+    through2: Index
     overlap: float
     area_overlap: float
+
+    @property
+    def of_missed(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """``through1`` and ``through2`` of the missed landmarks."""
+        return tuple(self.through1[self.missed1].tolist()), tuple(self.through2[self.missed2].tolist())
 
 
 def passing_at(
@@ -55,8 +64,11 @@ def passing_at(
     s1, s2 = Segments.of(m1, p1), Segments.of(m2, p2)
     through = evidence_kernels().blocked_ways
     inside1, inside2 = passed(p2, s1, width, END_MARGIN_M), passed(p1, s2, width, END_MARGIN_M)
-    blocked = through(inside1, m2.arm_headings, m2.arm_passable, float(T12[2]), s1.start, s1.end, angle)
-    blocked += through(inside2, m1.arm_headings, m1.arm_passable, 0.0, s2.start, s2.end, angle)
+    through2 = through(inside1, m2.arm_headings, m2.arm_passable, float(T12[2]), s1.start, s1.end, angle)
+    through1 = through(inside2, m1.arm_headings, m1.arm_passable, 0.0, s2.start, s2.end, angle)
+    blocked = int(through1.sum() + through2.sum())
+    through1 = np.maximum(through1, background.corners1 & inside2.any(axis=1))
+    through2 = np.maximum(through2, background.corners2 & inside1.any(axis=1))
     by1: NDArray[np.bool_] = np.asarray(passed(p2, s1, width).any(axis=1))
     by2: NDArray[np.bool_] = np.asarray(passed(p1, s2, width).any(axis=1))
     area_overlap = 0.0
@@ -68,7 +80,7 @@ def passing_at(
         area_overlap = background.area1.area(moved)
     by2[matched[0]], by1[matched[1]] = False, False
     overlap = overlap_length(s1, s2, width, angle)
-    return Passing(np.flatnonzero(by2), np.flatnonzero(by1), blocked, overlap, area_overlap)
+    return Passing(np.flatnonzero(by2), np.flatnonzero(by1), blocked, through1, through2, overlap, area_overlap)
 
 
 def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float]:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtr, chdtri
 
 from mapfuse.datasets.maps import JointCovariance, LandmarkMap, Link
 from mapfuse.datasets.transform import Transform
@@ -16,6 +17,13 @@ from mapfuse.datasets.values import frozen_array, rebuilt, same_fields
 Array = NDArray[np.float64]
 PairDecision = Literal["merged", "ambiguous", "no_overlap"]
 Decision = Literal["merged", "partial", "ambiguous", "no_overlap"]
+
+#: A scale is believed to differ from 1 where that leaves the residuals this improbable.
+IMPROBABLE = 1e-3
+#: Redundant measurements that an estimate assumes besides those it has, all as stated, so that few don't decide.
+AS_STATED = 4.0
+#: Less redundancy than this says nothing.
+LEAST_REDUNDANCY = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +89,50 @@ class PairResult:
 
 
 @dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """How the measurements of one map fit the noise that it states.
+
+    ``chi2``: sum of their squared whitened residuals; ``redundancy``: what that sum is expected to be. ``used``: by how
+    much the stated sigmas were multiplied before (1: not at all).
+
+    >>> NoiseFit(chi2=120.0, redundancy=30.0).scale
+    2.0
+    """
+
+    chi2: float
+    redundancy: float
+    used: float = 1.0
+
+    @property
+    def scale(self) -> float:
+        """By how much the stated sigmas are too small, as a factor; 1 where nothing can be said."""
+        if self.redundancy < LEAST_REDUNDANCY:
+            return self.used
+        return self.used * float(np.sqrt(self.chi2 / self.redundancy))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Bounds between which the scale lies with 95 %."""
+        if self.redundancy < LEAST_REDUNDANCY:
+            return 0.0, float("inf")
+        low, high = (float(chdtri(self.redundancy, beyond)) for beyond in (0.025, 0.975))
+        return self.used * float(np.sqrt(self.chi2 / low)), self.used * float(np.sqrt(self.chi2 / high))
+
+    @property
+    def estimate(self) -> float:
+        """The scale to use: `scale`, drawn to 1 by `AS_STATED` measurements where there are few others."""
+        return float(np.sqrt((self.chi2 * self.used**2 + AS_STATED) / (self.redundancy + AS_STATED)))
+
+    @property
+    def can_be_true(self) -> bool:
+        """Whether the stated noise can be the true one."""
+        if self.redundancy < LEAST_REDUNDANCY:
+            return True
+        smaller = float(chdtr(self.redundancy, self.chi2 * self.used**2))
+        return min(smaller, 1 - smaller) > IMPROBABLE / 2
+
+
+@dataclass(frozen=True, slots=True)
 class Frame:
     """Pose of one map's coordinate system in its group's reference frame (that of the group's first map)."""
 
@@ -129,7 +181,8 @@ class FusedMap:
     """The merged map with its uncertainty, or the reasons why there is none.
 
     ``maps``: all input names; ``groups``: names sharing a frame, alone ones too; ``frames``: each map's pose in its
-    group; ``sources``: the input maps whole, by name (empty when not embedded); ``joint_covariances``: one per group
+    group; ``sources``: the input maps whole, by name (empty when not embedded); ``noise``: how each
+    map's measurements fit the noise that it states, by name; ``joint_covariances``: one per group
     over all its landmarks (None where it was not kept, as in a file that was read back).
     """
 
@@ -142,6 +195,7 @@ class FusedMap:
     landmarks: tuple[FusedLandmark, ...]
     provenance: Mapping[str, Any]
     sources: Mapping[str, LandmarkMap] = field(default_factory=dict)
+    noise: Mapping[str, NoiseFit] = field(default_factory=dict)
     joint_covariances: tuple[JointCovariance | None, ...] = field(default=(), compare=False)
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
 

@@ -27,8 +27,10 @@ log = logging.getLogger(__name__)
 
 #: A solution counts as an optimum when the next Gauss-Newton step moves no unknown by more than this [m, rad].
 CONVERGED_STEP = 1e-6
-#: Over more than this [m] a rotation's last digits move landmarks by more; steps may stop shrinking that much earlier.
-LEVER_M = 100.0
+#: Steps that no longer shrink, and change the error by this share of it at most, are rounding: over a long lever the
+#: last digits of a rotation move landmarks by more than `CONVERGED_STEP`. So are steps below `ROUNDING_STEP` [m, rad]
+#: that raise the error.
+ROUNDING, ROUNDING_STEP = 1e-11, 1e-4
 #: A Gauss-Newton step may raise the error [nats] by so much, which is rounding.
 LEVEL = 1e-6
 #: Turns between landmarks' headings follow from how the frames lie; frames that turned more than this [rad] since are
@@ -122,7 +124,7 @@ class Solution:
         return self.joint_covariance(self.landmark_keys(r))
 
 
-def _optimum(problem: Problem) -> Solution:
+def _optimum(problem: Problem, rejected: Sequence[Correspondence] = ()) -> Solution:
     """The optimum nearby, to the last step: Gauss-Newton, and Levenberg-Marquardt where that doesn't descend.
 
     Levenberg-Marquardt alone may report success after a small decrease far from the optimum, and covariances there
@@ -130,40 +132,38 @@ def _optimum(problem: Problem) -> Solution:
     """
     graph, values = problem.graph(), problem.values()
     order = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
-    extent = np.abs(gtsam.utilities.extractPose2(values)[:, :2]).max()
-    rounding = CONVERGED_STEP * max(1.0, float(extent) / LEVER_M)
     iterations = 0
     try:
         for _ in range(MAX_RESTARTS):
-            values, steps, last = _gauss_newton(graph, values, order, rounding)
+            values, steps, last = _gauss_newton(graph, values, order)
             iterations += steps
-            if last < rounding:
+            if last is None:
                 break
             values, steps = _levenberg_marquardt(graph, values, 1e-10)
             iterations += steps
+            if not steps:  # neither finds a way down: what is left is rounding
+                break
         else:
             log.warning("optimum not reached: the last step was still %.2g", last)
     except RuntimeError as error:
         raise _indeterminate(problem, graph, order, str(error)) from None
-    return Solution(problem, _finite_poses(problem, values), iterations, _linearised(problem, graph, values, order))
+    poses, linearised = _finite_poses(problem, values), _linearised(problem, graph, values, order)
+    return Solution(problem, poses, iterations, linearised, tuple(rejected))
 
 
-def _gauss_newton(graph: Any, values: Any, order: Any, rounding: float) -> tuple[Any, int, float]:
-    """Steps while the error doesn't rise; the poses, how many, and the largest number of the last step.
-
-    Below ``rounding`` [m, rad] a step that is no shorter than half of the one before is the last.
-    """
+def _gauss_newton(graph: Any, values: Any, order: Any) -> tuple[Any, int, float | None]:
+    """Steps while the error doesn't rise; the poses, how many steps, and the last one's size or None at the optimum."""
     error, steps, largest = graph.error(values), 0, np.inf
     for _ in range(MAX_STEPS):
         step = graph.linearize(values).optimize(order)
         further = values.retract(step)
         after = graph.error(further)
-        if not after <= error + LEVEL:
-            return values, steps, np.inf
-        values, error, steps = further, after, steps + 1
         before, largest = largest, float(np.abs(step.vector()).max(initial=0.0))
-        if largest < CONVERGED_STEP or (largest < rounding and largest > before / 2):
-            break
+        if not after <= error + LEVEL:
+            return values, steps, None if largest < ROUNDING_STEP else np.inf
+        gain, values, error, steps = abs(error - after), further, after, steps + 1
+        if largest < CONVERGED_STEP or (largest > before / 2 and gain <= ROUNDING * (1 + error)):
+            return values, steps, None
     return values, steps, largest
 
 
@@ -275,9 +275,9 @@ def solve(problem: Problem, config: SolvingConfig) -> Solution:
         worst = solution.problem.of_kind(Correspondence)[int(np.argmax(excess))]
         rejected.append(worst)
         kept = [m for m in solution.problem.measurements if m is not worst]
-        solution = _optimum(solution.problem.starting_at(solution.poses).with_measurements(kept))
+        solution = _optimum(solution.problem.starting_at(solution.poses).with_measurements(kept), rejected)
         excess = _excess(solution, config)
-    return replace(solution, rejected=tuple(rejected))
+    return solution
 
 
 def _trusted(problem: Problem) -> Problem:

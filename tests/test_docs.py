@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal, vonmises
 
 from mapfuse.datasets import Landmark, LandmarkMap, Link, Noise, Transform, read_map, recordings
 from mapfuse.factors import correspondence
-from mapfuse.fusion import coverage, decide, evidence, existence, growth, passing, regularity, repetition
+from mapfuse.fusion import coverage, decide, evidence, existence, growth, known, passing, regularity, repetition, result
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
 from mapfuse.fusion.elastic import Joined
@@ -105,6 +105,7 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
         "arms": 0.0,
         "compass": 0.0,
         "known": 0.0,
+        "stated": 0.0,
     }
     found = {field.name: getattr(weighed.terms, field.name) for field in fields(weighed.terms)}
     assert found == pytest.approx(expected, abs=2e-3)
@@ -293,7 +294,7 @@ def test_mixture_covariance_is_that_of_draws_from_themixture():
 
 def test_every_number_stands_as_in_the_code():
     stated = re.findall(r"^\| `(\w+)` \| ([\d., ]+) \|", EVIDENCE, flags=re.MULTILINE)
-    modules = (evidence, existence, correspondence, growth, passing, regularity, repetition)
+    modules = (evidence, existence, correspondence, growth, known, passing, regularity, repetition, result)
     places = (EvidenceConfig(), DecisionConfig(), SolvingConfig(), *modules)
     for name, value in stated:
         found = [getattr(place, name) for place in places if hasattr(place, name)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -27,7 +27,7 @@ from .console import (
 from .progress import stages
 
 if TYPE_CHECKING:
-    from mapfuse.fusion import FuseConfig, FusedMap
+    from mapfuse.fusion import FuseConfig, FusedMap, KnownTransform
 
 
 class Mode(StrEnum):
@@ -66,6 +66,22 @@ def fuse_files(
         typer.Option("--overlap-prior", metavar="P", help="Probability, before looking, of overlap (0.5)."),
     ] = None,
     given: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=anymap.SET_HELP)] = None,
+    near: Annotated[
+        list[tuple[str, str, float, float, float, float, float]] | None,
+        typer.Option(
+            "--near",
+            metavar="A B X Y DEG SIGMA_M SIGMA_DEG",
+            help="Map B lies about at X, Y [m], turned by DEG, in map A; and how well that is known.",
+        ),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", metavar="MAP", help="The map of this name is exact, a floor plan for one."),
+    ] = None,
+    estimate_noise: Annotated[
+        bool,
+        typer.Option("--estimate-noise", help="Use the noise that each map's own residuals speak for."),
+    ] = False,
     mode: Annotated[Mode | None, typer.Option("--mode", help="How hypotheses are proposed.")] = None,
     config: Annotated[
         Path | None, typer.Option("--config", metavar="FILE", help="Parameters; see `mapfuse config`.")
@@ -82,21 +98,43 @@ def fuse_files(
     outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map}
     check_outputs(outputs, [*maps, *([config] if config else [])])
     warn_on_stderr(verbose=verbose)
-    settings = _settings(config, accept, overlap_prior, mode)
+    settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise)
     recorded = anymap.read_maps(maps, anymap.options(given or []), quiet=quiet)
     if len(recorded) < 2:
         raise UsageError("give at least two maps to fuse")
 
-    from mapfuse.fusion import fuse
+    from mapfuse.fusion import as_reference, fuse
 
+    if reference is not None:
+        if reference not in {m.name for m in recorded}:
+            raise UsageError(f"--reference: none of the maps is named {reference!r}")
+        recorded = [as_reference(m) if m.name == reference else m for m in recorded]
     with stages("fusing", quiet=quiet):
-        fused = fuse(recorded, settings)
+        fused = fuse(recorded, settings, _known(near or []))
     _write(fused, outputs, as_json=as_json, embed=not no_embed, quiet=quiet)
     if require_merge and fused.decision != "merged":
         raise typer.Exit(3)
 
 
-def _settings(config: Path | None, accept: float | None, overlap_prior: float | None, mode: Mode | None) -> FuseConfig:
+def _known(near: Sequence[tuple[str, str, float, float, float, float, float]]) -> list[KnownTransform]:
+    """What ``--near`` says of the maps; raises `UsageError` for a standard deviation that is none."""
+    import numpy as np
+
+    from mapfuse.datasets import Transform
+    from mapfuse.fusion import KnownTransform
+
+    known = []
+    for first, second, x, y, turn, sigma_m, sigma_deg in near:
+        if not (sigma_m > 0 and sigma_deg > 0):
+            raise UsageError("--near: how well it is known (SIGMA_M, SIGMA_DEG) must be greater than 0")
+        variances = np.array([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
+        known.append(KnownTransform((first, second), Transform(x, y, float(np.deg2rad(turn)), np.diag(variances))))
+    return known
+
+
+def _settings(
+    config: Path | None, accept: float | None, overlap_prior: float | None, mode: Mode | None, *, estimate_noise: bool
+) -> FuseConfig:
     from mapfuse.fusion.config import FuseConfig
 
     settings = FuseConfig()
@@ -108,6 +146,8 @@ def _settings(config: Path | None, accept: float | None, overlap_prior: float | 
         settings = replace(settings, decision=replace(settings.decision, accept=accept))
     if overlap_prior is not None:
         settings = replace(settings, decision=replace(settings.decision, overlap_prior=overlap_prior))
+    if estimate_noise:
+        settings = replace(settings, solving=replace(settings.solving, estimate_noise=True))
     if mode is not None:
         settings = replace(settings, matching=replace(settings.matching, mode=mode.value))
     return settings

@@ -21,7 +21,8 @@ def summarise(fused: FusedMap) -> str:
     """The whole answer as text of some ten lines."""
     several = len(fused.pairs) != 1
     head = f"{fused.decision.replace('_', ' ')}, {percent(fused.probability)}" if several else _headline(fused.pairs[0])
-    return "\n".join([head, *(_pair(pair, named=several) for pair in fused.pairs), _counts(fused)])
+    pairs = (_pair(pair, named=several) for pair in fused.pairs)
+    return "\n".join([head, *pairs, *_noise(fused), _counts(fused)])
 
 
 def _headline(pair: PairResult) -> str:
@@ -95,6 +96,18 @@ def table(rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
     """
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return [indent + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _noise(fused: FusedMap) -> list[str]:
+    """Maps whose stated noise can't be true, and by how much it is off."""
+    lines = []
+    for name, fit in fused.noise.items():
+        if not fit.can_be_true:
+            low, high = fit.interval
+            by = f"{fit.scale:.2f} times ({low:.2f} to {high:.2f}) what it states"
+            used = "; that was used" if fit.used != 1 else "; see solving.estimate_noise"
+            lines.append(f"  the noise of {name} is not as stated: its residuals are {by}{used}")
+    return lines
 
 
 def _counts(fused: FusedMap) -> str:

@@ -21,9 +21,9 @@ WORDS: Mapping[str, tuple[str, str, Marks]] = {
         "matches",
     ),
     "points": ("Points that coincide", "Labelled points of both maps lie on each other in the plane.", "matches"),
-    "junctions": (
-        "Discount for a regular grid",
-        "Junctions of corridors on a grid coincide more easily than by chance.",
+    "regular": (
+        "Discount for a regular building",
+        "On the lines and in the rhythm of a building things coincide more easily than by chance.",
         "matches",
     ),
     "misses": (
@@ -47,6 +47,7 @@ WORDS: Mapping[str, tuple[str, str, Marks]] = {
         "The maps themselves say of some landmarks that they are the same (same_as).",
         "matches",
     ),
+    "stated": ("Known transformation", "How well the placement agrees with what is known of it already.", "none"),
     "walls": ("Walls", "Walls of one map on walls of the other one, or across the way that its robot took.", "none"),
 }
 

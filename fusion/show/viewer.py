@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from .solids import Body, Layer, together
 STEPS = 60
 
 
-def open3d() -> ModuleType:
+def open3d() -> Any:
     """The library, loaded when it is needed: that takes seconds.
 
     Raises MapfuseError where it isn't installed, or lacks what it needs itself.
@@ -92,7 +91,7 @@ def view(layers: Sequence[Layer], title: str) -> None:
     window.destroy_window()
 
 
-def _animate(o3d: ModuleType, window: Any, layers: Sequence[Layer], meshes: Sequence[Any]) -> bool:
+def _animate(o3d: Any, window: Any, layers: Sequence[Layer], meshes: Sequence[Any]) -> bool:
     """Every map on its way from beside the others to its place, slowly at both ends."""
     for share in (1 - np.cos(np.linspace(0.0, np.pi, STEPS))) / 2:
         for layer, mesh in zip(layers, meshes, strict=True):

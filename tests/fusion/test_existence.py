@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import pytest
 
@@ -35,6 +36,11 @@ def test_a_robot_that_passed_without_seeing_it_speaks_against_it():
     assert existence([(robot(type_="door"), 0)], [robot("b")], RATE) == pytest.approx(
         (97 / 3 * 0.08) / (1 + 97 / 3 * 0.08)
     )
+
+
+def test_blocked_arms_that_the_robot_drove_through_speak_against_it():
+    odds = 4 * 0.19 * 0.1
+    assert existence([(robot(), 0)], [robot("b")], RATE, math.log(0.05 / 0.5)) == pytest.approx(odds / (1 + odds))
 
 
 def test_a_second_sighting_counts_more_where_landmarks_are_rare():

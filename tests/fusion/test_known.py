@@ -1,13 +1,18 @@
-"""Landmarks that the maps say are the same (``same_as``) decide what geometry alone leaves open."""
+"""What the user knows decides what geometry alone leaves open: same landmarks, about where maps lie, exact maps."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from mapfuse.datasets import Landmark, LandmarkMap, Link
-from mapfuse.datasets.errors import MapError, UndeterminedError
+from mapfuse.datasets import Landmark, LandmarkMap, Link, Transform, se2
+from mapfuse.datasets.errors import MapError, MapfuseError, UndeterminedError
+from mapfuse.datasets.simulation import VESPUCCI, explore, make_floor, record
 from mapfuse.datasets.simulation.pairs import simulated_pair
-from mapfuse.fusion import fuse
+from mapfuse.fusion import KnownTransform, as_reference, fuse
+from mapfuse.fusion.config import SolvingConfig
+from mapfuse.fusion.known import KNOWN_WRONG, stated_odds
+from mapfuse.fusion.prepared import prepare
 
 
 @pytest.fixture(scope="module")
@@ -88,3 +93,108 @@ def test_one_known_landmark_with_a_heading_places_map_2():
     fused = fuse([map1, LandmarkMap("B", (Landmark("b", "corner", 0.0, 0.0, links=arms),))])
     assert fused.decision == "merged"
     assert (fused.pairs[0].T12.x, fused.pairs[0].T12.y) == pytest.approx((1.0, 2.0), abs=1e-6)
+
+
+def about(truth, sigma=5.0, turn=0.3, off=(2.0, -1.5, 0.1)):
+    """What somebody knows of T12 of A and B: the truth, off by that much."""
+    T12 = truth.T12("A", "B").array + off
+    return KnownTransform(("A", "B"), Transform.from_array(T12, np.diag([sigma, sigma, turn]) ** 2))
+
+
+def test_about_where_a_map_lies_decides_a_symmetric_floor(symmetric):
+    map1, map2, truth = symmetric
+    known = about(truth)
+    fused = fuse([map1, map2], known=[known])
+    assert fused.decision == "merged"
+    assert set(fused.pairs[0].correspondences) <= set(truth.true_pairs("A", "B"))
+    # said of the maps in the other order it is the same
+    swapped = KnownTransform(("B", "A"), known.T12.inverse())
+    assert fuse([map2, map1], known=[swapped]).pairs[0].probability == pytest.approx(fused.pairs[0].probability)
+    # and where exactly the maps lie is left to the maps
+    better = about(truth, off=(0.0, 0.0, 0.0))
+    np.testing.assert_array_equal(fuse([map1, map2], known=[better]).pairs[0].T12.array, fused.pairs[0].T12.array)
+
+
+def test_what_is_known_wrongly_does_not_merge_wrongly():
+    # an irregular floor with many common landmarks, and somebody who is sure of quite another place
+    map1, map2, truth = simulated_pair(3)
+    fused = fuse([map1, map2], known=[about(truth, sigma=1.0, turn=0.1, off=(15.0, 9.0, 1.0))])
+    assert fused.decision == "merged"
+    assert set(fused.pairs[0].correspondences) <= set(truth.true_pairs("A", "B"))
+
+
+def test_agreement_is_a_density_against_any_placement_with_a_floor():
+    chairs = [Landmark(f"c{k}", "chair", x, y) for k, (x, y) in enumerate([(0, 0), (8, 0), (0, 6)])]
+    m1, m2 = (prepare(LandmarkMap(name, tuple(chairs)), SolvingConfig()) for name in ("A", "B"))
+    G = Transform(1.0, 2.0, 0.5, np.diag([1.0, 0.5, 0.1]) ** 2)
+    exact = np.diag([1e-4, 1e-4, 1e-4]) ** 2
+    centre = m1.positions.mean(axis=0)
+    radius = 2 * np.hypot(*(m1.positions - centre).T).max()
+    # the mean over all turns, and over all shifts of a disc of that radius, by a grid around G
+    x, y, t = np.meshgrid(*(g + np.linspace(-5, 5, 41) * s for g, s in zip(G.array, (1.0, 0.5, 0.1), strict=True)))
+    odds = [stated_odds(m1, m2, Transform(*T, exact), G) for T in zip(x.ravel(), y.ravel(), t.ravel(), strict=True)]
+    cell = 0.25**3 * 1.0 * 0.5 * 0.1
+    mean = (np.exp(odds) - KNOWN_WRONG).sum() * cell / (2 * np.pi * np.pi * radius**2) + KNOWN_WRONG
+    assert mean == pytest.approx(1, abs=2e-3)
+    assert stated_odds(m1, m2, Transform(500.0, 0.0, -2.0, exact), G) == pytest.approx(np.log(KNOWN_WRONG))
+
+
+@pytest.mark.parametrize(
+    ("maps", "covariance", "reason"),
+    [
+        (("A", "A"), np.eye(3), "two maps"),
+        (("A", "B"), None, "positive definite"),
+        (("A", "B"), np.zeros((3, 3)), "positive definite"),
+        (("A", "B"), np.diag([1.0, 1.0, np.nan]), "positive definite"),
+    ],
+)
+def test_what_is_known_of_a_transformation_must_be_that(maps, covariance, reason):
+    with pytest.raises(MapfuseError, match=reason):
+        KnownTransform(maps, Transform(0.0, 0.0, 0.0, covariance))
+
+
+def test_what_is_known_of_maps_that_are_not_there_or_twice_is_an_error(symmetric):
+    map1, map2, truth = symmetric
+    with pytest.raises(MapfuseError, match="'C', which isn't among"):
+        fuse([map1, map2], known=[KnownTransform(("A", "C"), about(truth).T12)])
+    with pytest.raises(MapfuseError, match="known twice"):
+        fuse([map1, map2], known=[about(truth), KnownTransform(("B", "A"), about(truth).T12)])
+
+
+def test_a_reference_is_exact():
+    # the floor itself as map A: a robot's map laid on it moves to it, and the reference stays where it is
+    floor = make_floor("irregular", np.random.default_rng(4))
+    rng = np.random.default_rng(5)
+    robot = record(floor, explore(floor, rng, 0.7), VESPUCCI, rng, "robot")
+    places = {place.id: place for place in floor.places}
+    plan = as_reference(plan_of(floor))
+    fused = fuse([plan, robot.map])
+    assert fused.decision == "merged"
+    for landmark in fused.landmarks:
+        if "plan" in landmark.sources:
+            place = places[landmark.sources["plan"][0]]
+            assert np.hypot(landmark.x - place.xy[0], landmark.y - place.xy[1]) < 0.06
+            assert np.sqrt(np.trace(landmark.covariance[:2, :2])) < 0.1
+    error = se2.between(robot.frame, fused.pairs[0].T12.array)
+    assert np.hypot(*error[:2]) < 1.0
+    # what the robot recorded and the plan shows not to be there is no longer believed
+    false = [l for l in fused.landmarks if set(l.sources) == {"robot"}]
+    there = [robot.place_from_id[l.sources["robot"][0]] is not None for l in false]
+    assert np.mean(there) < 0.5
+
+
+def plan_of(floor):
+    """The floor as a map: places with their arms, corridors as links both ways."""
+    links = {place.id: dict.fromkeys(range(len(place.arms))) for place in floor.places}
+    for place in floor.places:
+        for near in floor.neighbours[place.id]:
+            step = floor.place_from_id[near].xy - place.xy
+            links[place.id][place.arm_towards(float(np.arctan2(step[1], step[0])))] = (near, float(np.hypot(*step)))
+    landmarks = []
+    for place in floor.places:
+        arms = []
+        for k, arm in enumerate(place.arms):
+            near, distance = links[place.id][k] or (None, None)
+            arms.append(Link(arm.type, float(se2.wrap(arm.direction)), None, near, distance, 1 if near else 0))
+        landmarks.append(Landmark(place.id, place.type, place.x, place.y, links=tuple(arms)))
+    return LandmarkMap("plan", tuple(landmarks))
