@@ -190,14 +190,15 @@ def _each_way_once(links: Sequence[Link]) -> tuple[Link, ...]:
 
 
 def _ends(fused: FusedMap, member: FusedLandmark, fused_id: Mapping[tuple[str, str], str]) -> list[str]:
-    """Where the ways of a landmark lead in its sources, as merged landmarks, each once."""
+    """Where the ways without direction of a landmark lead in its sources, as merged landmarks, each once."""
     ends: dict[str, None] = {}
     for source, own in member.sources.items():
         recorded = fused.sources.get(source)
         for identifier in own if recorded is not None else ():
             assert recorded is not None
             landmark = recorded[identifier]
-            told = [link.connected_to_id for link in landmark.links]
+            # of ways along arms the merged links hold all that is to be driven: the nearer of two ends
+            told = [link.connected_to_id for link in landmark.links if link.heading is None]
             further = landmark.extra.get(WAYS, ())
             told += [way.get("to") for way in further if isinstance(way, Mapping)] if isinstance(further, list) else []
             for end in told:

@@ -8,11 +8,14 @@ else that a node or an edge says is kept under `KEY` and written back.
 
 from __future__ import annotations
 
+import logging
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..arms import wrap
 from ..files import write_whole
 from ..jsondata import decode, encode
 from ..maps import Landmark, LandmarkMap
@@ -20,13 +23,19 @@ from .checks import Checker
 from .gis import LOCAL_CRS
 from .graphs import WAYPOINT, WAYS, Node, Way, graph_map, ways_of
 from .heads import plain_name, read_bytes, stem
-from .reading import Reading
+from .reading import Reading, remark
+
+_LOG = logging.getLogger(__name__)
 
 KEY = "nav2"
 #: What is written of ``extra``.
 KEPT = frozenset((KEY, WAYS))
 ENDINGS = (".nav2.geojson", ".geojson", ".json")
 ID, TYPE = "mapfuse_id", "mapfuse_type"
+#: Says in an edge's metadata that nobody went straight from its start to its end.
+MARK_BENT = "mapfuse_bent"
+#: An arm that points elsewhere than to the other end by this [rad] leads there round a corner.
+BENT = math.radians(20.0)
 
 _LINES = ("LineString", "MultiLineString")
 _EDGE = re.compile(rb'"startid"\s*:')
@@ -125,6 +134,7 @@ def write(map_: LandmarkMap, path: Path) -> None:
     """Write a map as a graph: landmarks as nodes 0, 1, ...; ways as edges, numbered on.
 
     A way that a robot recorded at one end can be driven from both; one that another graph had goes as it went there.
+    Edges are straight: one whose way went round a corner says so in its metadata, and a warning names it.
     """
     number = {landmark.id: k for k, landmark in enumerate(map_.landmarks)}
     features = [_point(landmark, number[landmark.id]) for landmark in map_.landmarks]
@@ -139,8 +149,21 @@ def write(map_: LandmarkMap, path: Path) -> None:
     ).items():
         kept = extra.get(KEY)
         features.append(_line(map_, start, end, len(features), number, kept if isinstance(kept, Mapping) else {}))
+    bent = [f"{a} to {b}" for a, b in (directed | back) if _bent(map_, a, b)]
+    for text in remark(bent, "ways round a corner that wasn't recorded", f"straight edges, with {MARK_BENT}"):
+        _LOG.warning("%s: %s", path, text)
     document = {"type": "FeatureCollection", "name": map_.name, "crs": LOCAL_CRS, "features": features}
     write_whole(path, encode(document))
+
+
+def _bent(map_: LandmarkMap, start: str, end: str) -> bool:
+    """Whether a robot went round a corner that it did not record: an arm at either end points elsewhere."""
+    for a, b in ((start, end), (end, start)):
+        step = map_[b].x - map_[a].x, map_[b].y - map_[a].y
+        headings = [link.heading for link in map_[a].links if link.connected_to_id == b and link.heading is not None]
+        if math.hypot(*step) > 1 and any(abs(wrap(math.atan2(step[1], step[0]) - h)) > BENT for h in headings):
+            return True
+    return False
 
 
 def _point(landmark: Landmark, number: int) -> dict[str, Any]:
@@ -158,6 +181,8 @@ def _line(
     map_: LandmarkMap, start: str, end: str, number: int, number_from_id: Mapping[str, int], kept: Mapping[str, Any]
 ) -> dict[str, Any]:
     ends = [[float(map_[one].x), float(map_[one].y)] for one in (start, end)]
+    if _bent(map_, start, end):
+        kept = {**kept, "metadata": {**kept.get("metadata", {}), MARK_BENT: True}}
     properties = {"id": number, **kept, "startid": number_from_id[start], "endid": number_from_id[end]}
     return {
         "type": "Feature",

@@ -155,6 +155,17 @@ def test_a_result_becomes_a_graph_that_a_robot_drives_on(command, fused_file, tm
     assert edges == joined | {(b, a) for a, b in joined}
 
 
+def test_ways_along_arms_are_those_of_the_merged_links(command, tmp_path):
+    paths = [recordings.path(f"ground-floor-{robot}") for robot in ("milka", "vespucci")]
+    assert command("fuse", *map(str, paths), "-o", str(tmp_path / "it.fused.json")) == 0
+    assert command("convert", str(tmp_path / "it.fused.json"), str(tmp_path / "it.geojson")) == 0
+    fused = json.loads((tmp_path / "it.fused.json").read_text())
+    links = {(a["id"], link["connected_to_id"]) for a in fused["landmarks"] for link in a["links"]}
+    map_ = read_any(tmp_path / "it.geojson")[0]
+    ways = {(a.id, link.connected_to_id) for a in map_.landmarks for link in a.links}
+    assert ways == {way for a, b in links if b is not None for way in ((a, b), (b, a))}
+
+
 def test_a_result_becomes_a_picture_for_gis(command, fused_file, tmp_path):
     assert command("convert", str(fused_file), str(tmp_path / "it.gis.geojson")) == 0
     features = json.loads((tmp_path / "it.gis.geojson").read_text())["features"]

@@ -118,6 +118,22 @@ def test_a_way_recorded_at_one_end_is_driven_both_ways(tmp_path):
     assert features[0]["properties"]["metadata"] == {"mapfuse_id": "c1", "mapfuse_type": "corner"}
 
 
+def test_a_way_round_a_corner_is_no_straight_edge_and_says_so(tmp_path, caplog):
+    # the robot left c1 to the east, and came to c2, which lies to the north-east
+    c1 = Landmark("c1", "corner", 0.0, 0.0, links=(Link("open", 0.0, connected_to_id="c2"),))
+    d1 = Landmark("d1", "door", 4.0, 4.0, links=(Link("open", 0.0, connected_to_id="e1"),))
+    map_ = LandmarkMap("m", (c1, Landmark("c2", "corner", 5.0, 5.0), d1, Landmark("e1", "door", 9.0, 4.2)))
+    write_any(map_, tmp_path / "m.geojson")
+    edges = [f["properties"] for f in json.loads((tmp_path / "m.geojson").read_text())["features"][4:]]
+    assert {(e["startid"], e["endid"], e.get("metadata", {}).get("mapfuse_bent", False)) for e in edges} == {
+        (0, 1, True),
+        (1, 0, True),
+        (2, 3, False),
+        (3, 2, False),
+    }
+    assert "ways round a corner that wasn't recorded (c1 to c2, c2 to c1): straight edges" in caplog.text
+
+
 def test_nav2_in_degrees_is_refused(tmp_path):
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
     with pytest.raises(FileFormatError, match=r"crs: is urn:.*CRS84: degrees"):
