@@ -34,6 +34,11 @@ class Background:
     _regularity: dict[float, Regularity] = field(default_factory=dict, repr=False)
 
     @cached_property
+    def of_each(self) -> tuple[Background, Background]:
+        """Of map 1 with itself and of map 2 with itself."""
+        return Background(self.m1, self.m1), Background(self.m2, self.m2)
+
+    @cached_property
     def points1(self) -> NDArray[np.bool_]:
         """Which landmarks of map 1 are point landmarks (n1,)."""
         return _point_like(self.m1)

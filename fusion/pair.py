@@ -92,7 +92,7 @@ def _one_answer(a: Growth, b: Growth, tolerance_m: float) -> bool:
     return bool(displacement(a.joined.T12, b.joined.T12, overlap) < tolerance_m)
 
 
-def _distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
+def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
     """The best variant of each answer."""
     kept: list[Weighed] = []
     for w in sorted(weighed, key=lambda w: -w.log_odds):
@@ -117,15 +117,18 @@ def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Wei
     return w, solution
 
 
-def _decided(weighed: list[Weighed], background: Background, config: FuseConfig) -> Verdict:
-    """The verdict; rivals of the best hypothesis that may be its images are looked for in the maps themselves."""
+def judged(weighed: list[Weighed], background: Background, config: FuseConfig, self_match: bool = True) -> Verdict:
+    """The verdict; rivals of the best hypothesis that may be its images are looked for in the maps themselves.
+
+    ``self_match``: whether they are; without it, to measure what that is worth, only the rivals themselves speak.
+    """
     best = max(weighed, key=lambda w: w.log_odds, default=None)
     alias = np.zeros((len(weighed), 2))
     for k, w in enumerate(weighed):
         assert best is not None
         of_building = None
-        if w is not best and w.log_odds > LEAST_RIVAL:
-            of_building = repeats(background, config.evidence, best.growth.joined.T12, w.growth.joined.T12)
+        if self_match and w is not best and w.log_odds > LEAST_RIVAL:
+            of_building = repeats(background, config, best.growth.joined.T12, w.growth.joined.T12)
         alias[k] = best.alias(of_building), w.alias(of_building)
     return decide(weighed, alias, config.evidence, config.decision)
 
@@ -141,15 +144,15 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, stated: Tran
     known = known_pairs(m1.map, m2.map)
     grown = grow_all(m1, m2, hypotheses, config.solving, known)
     weighed = [told(weigh(g, background, config.evidence)) for g in grown]
-    weighed = _distinct(weighed, config.matching.tolerance_m)
-    verdict = _decided(weighed, background, config)
+    weighed = distinct(weighed, config.matching.tolerance_m)
+    verdict = judged(weighed, background, config)
     solved: dict[int, tuple[Weighed, Solution]] = {}
     for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):
         if probability >= NEGLIGIBLE:  # what cannot be the answer keeps the elastic match's T12
             solved[id(w)] = _solved(w, background, config)
     first = verdict.ranked
     again = [told(solved[id(w)][0]) if id(w) in solved else w for w in first]
-    verdict = _decided(again, background, config)
+    verdict = judged(again, background, config)
     check_known(verdict.ranked, m1, m2, known)
     solutions = {
         id(after): solved[id(before)][1] for before, after in zip(first, again, strict=True) if id(before) in solved

@@ -106,8 +106,8 @@ def same_distance(distance: float) -> float:
 def pitch_of(distances: Array) -> float:
     """The pitch [m] of which the distances (k,) between corners and junctions are multiples, or 0 where there is none.
 
-    The one for which the share of multiples stands out most against chance, by its log likelihood ratio; it must be
-    `PITCH_ODDS` nats.
+    The one for which the share of multiples stands out most against chance, by its log likelihood ratio, which must be
+    `PITCH_ODDS` nats; then by least squares over those multiples.
     """
     if not len(distances):
         return 0.0
@@ -118,7 +118,11 @@ def pitch_of(distances: Array) -> float:
     chance = np.minimum(2 * tolerance.mean() / pitches, 0.999)
     odds = len(distances) * (rel_entr(share, chance) + rel_entr(1 - share, 1 - chance))
     best = int(np.argmax(np.where(share > chance, odds, -np.inf)))
-    return float(pitches[best]) if share[best] > chance[best] and odds[best] > PITCH_ODDS else 0.0
+    if share[best] <= chance[best] or odds[best] <= PITCH_ODDS:
+        return 0.0
+    n = steps[best]
+    multiple = np.abs(distances - n * pitches[best]) < tolerance
+    return float((distances @ (n * multiple)) / (n @ (n * multiple)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,18 +8,18 @@ each map is matched with itself (docs/evidence.md, "The repetition rule").
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
 
-from .background import Background, recorded_rates
-from .config import EvidenceConfig
-from .coverage import SeenArea, Segments, passed
+from .background import Background
+from .config import EvidenceConfig, FuseConfig, SolvingConfig
 from .elastic import ArmOverlay
-from .prepared import PreparedMap
+from .growth import Growth, compatible, grow
+from .passing import passing_at
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -27,8 +27,12 @@ Index = NDArray[np.intp]
 #: Shares of its landmarks that the image of a place in a repeating building may lack, with their prior: half exact.
 LACKING = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9])
 LACKING_PRIOR = np.array([0.5, 0.1, 0.1, 0.1, 0.1, 0.1])
-#: A landmark is the image of another one where they are this far apart [m] or less.
+#: A landmark that lies this close [m] to its own image says nothing.
 IMAGE_M = 1.5
+#: A landmark is the image of another one of its kind where, before bending, they lie this far apart [m] or less.
+SEED_M = 4.0
+#: From so many pairs of them a map is grown onto itself; the largest match counts.
+SEEDS = 4
 #: A motion that turns by half a turn, to within this [rad], undone by itself.
 INVOLUTION = 0.3
 
@@ -56,12 +60,11 @@ def alias(odds: Array, of_building: Array | None = None) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SelfMatch:
-    """One map, to be matched with itself: which landmarks are ``points`` (n,), and the ``area`` that was seen."""
+    """One map, to be matched with itself; ``background``: of the map and itself."""
 
-    m: PreparedMap
-    points: NDArray[np.bool_]
-    area: SeenArea
-    config: EvidenceConfig
+    background: Background
+    evidence: EvidenceConfig
+    solving: SolvingConfig
 
     def under(self, motion: Array) -> Array:
         """What the map says of its building lying on itself under a ``motion`` (3,) of its own frame, (6,).
@@ -69,42 +72,67 @@ class SelfMatch:
         For each of `LACKING` the log probability of what it shows at the images of its landmarks, against that of a
         building which doesn't repeat itself (any of the shares, equally probable). 0 where the map has nothing to say.
         """
-        forward = self._trials(motion)
-        back = self._trials(np.asarray(se2.inverse(motion)))
-        if abs(abs(se2.wrap(motion[2])) - np.pi) < INVOLUTION:  # there and back are the same pairs
-            back = (np.zeros(0), np.zeros(0))
-        hits, misses = (np.concatenate(both) for both in zip(forward, back, strict=True))
+        hits, misses = self.seen(motion)
         odds = lacking_odds(hits, misses)
+        if abs(abs(se2.wrap(motion[2])) - np.pi) < INVOLUTION:  # there and back are the same pairs
+            odds = odds / 2
         return np.asarray(odds - (np.logaddexp.reduce(odds[1:]) - np.log(len(odds) - 1)))
 
-    @cached_property
-    def _rates(self) -> Array:
-        return recorded_rates(self.m, self.m)
+    def seen(self, motion: Array) -> tuple[Array, Array]:
+        """Rates q of landmarks that are an image or have one, and of those whose image was passed and isn't there.
 
-    def _trials(self, motion: Array) -> tuple[Array, Array]:
-        """Rates q of landmarks whose image is recorded in the same map, and of those whose image was passed."""
-        m = self.m
-        placed = np.asarray(se2.transform(motion, m.positions))
-        distance = np.linalg.norm(placed[:, None, :] - m.positions[None, :, :], axis=2)
-        types = np.array(m.map.types)
-        itself = np.diag(distance) < IMAGE_M
-        i, j = np.nonzero((distance < IMAGE_M) & (types[:, None] == types[None, :]) & ~np.eye(len(m), dtype=bool))
-        image = np.zeros(len(m), dtype=bool)
-        if len(i):
-            arms = ArmOverlay.at(m, m, float(-motion[2]), i, j)
-            image[i[arms.contradict == 0]] = True
-        by = passed(placed, Segments.of(m, m.positions), self.config.corridor_width_m).any(axis=1)
-        by = np.where(self.points, self.area.contains(placed), by)
-        return self._rates[image & ~itself], self._rates[by & ~image & ~itself]
+        The map is bent onto itself as two maps are onto each other: drift would part a building from its image.
+        """
+        b, m = self.background, self.background.m1
+        placed = (m.positions, np.asarray(se2.transform(motion, m.positions)))
+        matched = (np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
+        grown = self._grown(motion)
+        if grown is not None:
+            motion, placed, matched = grown.joined.T12, grown.joined.corrected(), (grown.i, grown.j)
+        way = passing_at(motion, placed, matched, b, self.evidence)
+        itself = np.linalg.norm(placed[0] - placed[1], axis=1) < IMAGE_M
+        missed = [missed[~itself[missed]] for missed in (way.missed1, way.missed2)]
+        # two points can always be laid on each other's images, nearly
+        told = slice(0 if m.headed[matched[0]].any() else 2, None)
+        hits = np.concatenate([b.recorded1[matched[0][told]], b.recorded2[matched[1][told]]])
+        return hits, np.concatenate([b.recorded1[missed[0]], b.recorded2[missed[1]]])
+
+    def _grown(self, motion: Array) -> Growth | None:
+        """The map matched with itself, from the landmarks that lie nearest to one of their kind; None without any."""
+        m = self.background.m1
+        away = se2.transform(motion, m.positions)[None, :, :] - m.positions[:, None, :]
+        may = compatible(m, m) & (np.hypot(away[..., 0], away[..., 1]) < SEED_M)
+        np.fill_diagonal(may, False)
+        i, j = np.nonzero(may)
+        if not len(i):
+            return None
+        agree = ArmOverlay.at(m, m, float(motion[2]), i, j).contradict == 0
+        order = np.argsort(np.where(agree, np.hypot(*away[i, j].T), np.inf), kind="stable")[: agree.sum()]
+        near = [(int(i[k]), int(j[k])) for k in order]
+        grown = [grow(m, m, motion, self._seed(near[k:]), self.solving, may) for k in range(min(SEEDS, len(near)))]
+        return max((g for g in grown if self._keeps(motion, g)), key=lambda g: len(g.i), default=None)
+
+    def _seed(self, near: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+        """The first pair, which turns the map by its heading; where it has none, one of other landmarks besides."""
+        a, b = near[0]
+        if self.background.m1.headed[a] and self.background.m1.headed[b]:
+            return (near[0],)
+        others = (pair for pair in near[1:] if not {a, b} & set(pair))
+        return (near[0], *islice(others, 1))
+
+    def _keeps(self, motion: Array, grown: Growth) -> bool:
+        """Whether a match with itself is still that of the motion it began with."""
+        T, centre = grown.joined.T12, self.background.m1.positions.mean(axis=0)
+        off = se2.transform(T, centre) - se2.transform(motion, centre)
+        return bool(np.hypot(*off) < SEED_M and abs(se2.wrap(T[2] - motion[2])) < INVOLUTION)
 
 
-def repeats(background: Background, config: EvidenceConfig, best: Array, rival: Array) -> Array:
+def repeats(background: Background, config: FuseConfig, best: Array, rival: Array) -> Array:
     """What both maps say of the building lying on itself under the motion from the ``best`` T12 to a ``rival``, (6,).
 
     As `SelfMatch.under` says it, both maps together.
     """
-    in1 = SelfMatch(background.m1, background.points1, background.area1, config)
-    in2 = SelfMatch(background.m2, background.points2, background.area2, config)
+    in1, in2 = (SelfMatch(b, config.evidence, config.solving) for b in background.of_each)
     return in1.under(np.asarray(se2.compose(rival, se2.inverse(best)))) + in2.under(
         np.asarray(se2.compose(se2.inverse(rival), best))
     )

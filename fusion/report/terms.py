@@ -23,9 +23,10 @@ WORDS: Mapping[str, tuple[str, str, Marks]] = {
     "points": ("Points that coincide", "Labelled points of both maps lie on each other in the plane.", "matches"),
     "regular": (
         "Discount for a regular building",
-        "On the lines and in the rhythm of a building things coincide more easily than by chance.",
+        "Where corridors and doors repeat at even distances, landmarks coincide more easily than by chance.",
         "matches",
     ),
+    "stated": ("What you said of it", "How well the placement agrees with what was stated of it beforehand.", "none"),
     "misses": (
         "Landmarks that were missed",
         "The other robot passed these landmarks and did not record them.",
@@ -47,7 +48,6 @@ WORDS: Mapping[str, tuple[str, str, Marks]] = {
         "The maps themselves say of some landmarks that they are the same (same_as).",
         "matches",
     ),
-    "stated": ("Known transformation", "How well the placement agrees with what is known of it already.", "none"),
     "walls": ("Walls", "Walls of one map on walls of the other one, or across the way that its robot took.", "none"),
 }
 

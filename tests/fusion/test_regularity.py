@@ -1,0 +1,144 @@
+"""How regular a building is: pitches, rhythms and lines, by hand on a few corridors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
+from mapfuse.datasets.simulation import simulated_pair
+from mapfuse.fusion.background import Background
+from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
+from mapfuse.fusion.prepared import prepare
+from mapfuse.fusion.regularity import DOUBT, ON_A_LINE, Gaps, Regularity, pitch_of
+
+ANGLE = float(np.deg2rad(EvidenceConfig().corridor_angle_deg))
+WEST, EAST, NORTH = np.pi, 0.0, np.pi / 2
+
+
+def along_x(name, stations):
+    """Landmarks at (x, type) along one straight corridor, each linked to the next one both ways."""
+    landmarks = []
+    for k, (x, type_) in enumerate(stations):
+        links = [Link("open", NORTH)] if type_ == "junction" else []
+        if k:
+            links.append(Link("open", WEST, None, f"{name}{k - 1}", x - stations[k - 1][0], 1))
+        if k + 1 < len(stations):
+            links.append(Link("open", EAST, None, f"{name}{k + 1}", stations[k + 1][0] - x, 1))
+        landmarks.append(Landmark(f"{name}{k}", type_, float(x), 0.0, links=tuple(links)))
+    return prepare(LandmarkMap(name, tuple(landmarks)), SolvingConfig())
+
+
+def regularity(m1, m2):
+    return Background(m1, m2).regularity(ANGLE)
+
+
+@pytest.mark.parametrize("pitch", [6.0, 9.5, 12.3])
+def test_a_pitch_is_found_among_multiples_of_it(pitch):
+    rng = np.random.default_rng(3)
+    distances = pitch * rng.integers(1, 4, 20) + rng.normal(0, 0.15, 20)
+    assert pitch_of(distances) == pytest.approx(pitch, abs=0.15)
+    # with a fifth of them anything
+    distances[:4] = rng.uniform(3, 25, 4)
+    assert pitch_of(distances) == pytest.approx(pitch, abs=0.15)
+
+
+def test_distances_without_a_pitch_have_none():
+    rng = np.random.default_rng(4)
+    found = [pitch_of(rng.uniform(4, 25, 20)) for _ in range(200)]
+    assert sum(p > 0 for p in found) <= 4
+    assert pitch_of(np.zeros(0)) == 0.0
+    # a handful of equal distances is no proof of a pitch
+    assert pitch_of(np.full(3, 9.0)) == 0.0
+
+
+def test_gaps_follow_straight_corridors_only():
+    # a corridor of three places, and one that leaves it at a right angle
+    m = prepare(
+        LandmarkMap(
+            "m",
+            (
+                Landmark("a", "junction", 0.0, 0.0, links=(Link("open", EAST, None, "b", 6.0, 1),)),
+                Landmark(
+                    "b",
+                    "junction",
+                    6.0,
+                    0.0,
+                    links=(
+                        Link("open", WEST, None, "a", 6.0, 1),
+                        Link("open", EAST, None, "c", 5.0, 1),
+                        Link("open", NORTH, None, "d", 4.0, 1),
+                    ),
+                ),
+                Landmark("c", "door", 11.0, 0.0, links=(Link("open", WEST, None, "b", 5.0, 1),)),
+                Landmark("d", "door", 6.0, 4.0, links=(Link("open", -NORTH, None, "b", 4.0, 1),)),
+            ),
+        ),
+        SolvingConfig(),
+    )
+    gaps = Gaps.of(m, np.array([0, 0, 1, 1]), ANGLE)
+    found = {(a, b): d for (a, b), d in zip(gaps.pairs.tolist(), gaps.distance.tolist(), strict=True)}
+    assert found.keys() == {(0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1), (1, 3), (3, 1)}
+    assert found[0, 2] == pytest.approx(11.0, abs=0.01)
+    # from c and d one could go on to the far end of their corridors, and no further
+    reach = dict(zip(gaps.origin.tolist(), gaps.exposure.tolist(), strict=True))
+    assert reach[2] == pytest.approx(11.0, abs=0.01)
+    assert reach[3] == pytest.approx(4.0, abs=0.01)
+
+
+def test_a_repeated_distance_is_a_rhythm_in_which_the_match_itself_does_not_count():
+    # doors 3 m after each junction, at irregular junctions: 3 of 4 junctions have one
+    stations = [(0, "junction"), (3, "door"), (9.1, "junction"), (12.1, "door"), (16.5, "junction"), (19.5, "door")]
+    stations += [(28.0, "junction")]
+    m1, m2 = along_x("a", stations), along_x("b", stations[:2])
+    found = regularity(m1, m2)
+    assert found.pitch == 0.0
+    a, b = found.gaps1.start[0], found.gaps1.label[1]
+    met, could = found.gaps1.met(a, b, 3.0, 0.0, (0, 1))
+    assert (met, could) == (
+        2,
+        6,
+    )  # after the second and third junction; each of the four, in each direction it was left
+    i, j = np.array([0, 1]), np.array([0, 1])
+    along = np.array([[np.nan, np.nan], [1.0, 0.0]])
+    at = m1.positions[i]
+    rate = 1e-3  # so rare that by chance there would be none
+    share = found.shares(i, j, at, along, np.full(2, rate))
+    # map 2 shows that distance only in the match itself; its door's way back could have had one
+    by_chance = 7 * rate * 2 * (0.5 + 0.09)
+    expected = (2 - by_chance - np.sqrt(by_chance)) / (could + found.gaps2.met(a, b, 3.0, 0.0, (0, 1))[1] + DOUBT)
+    assert share == pytest.approx([0.0, expected], rel=0.05)
+    # at a distance that nothing repeats, there is no rhythm
+    off = at + np.array([[0.0, 0.0], [19.0, 0.0]])
+    assert found.shares(i, j, off, along, np.full(2, rate)).tolist() == [0.0, 0.0]
+
+
+def test_a_corner_on_the_line_of_an_earlier_one_is_expected_there():
+    m = along_x("a", [(0, "junction"), (7.3, "junction")])
+    found = regularity(m, along_x("b", [(0, "junction"), (7.3, "junction")]))
+    i = j = np.array([0, 1])
+    # the second corridor lies 9 m North, its junction on the line through the first one's
+    at = np.array([[0.0, 0.0], [0.2, 9.0]])
+    along = np.array([[np.nan, np.nan], [1.0, 0.0]])
+    assert found.shares(i, j, at, along, np.full(2, 0.05)).tolist() == [0.0, ON_A_LINE]
+    beside = np.array([[0.0, 0.0], [3.0, 9.0]])
+    assert found.shares(i, j, beside, along, np.full(2, 0.05)).tolist() == [0.0, 0.0]
+
+
+def test_simulated_floors_of_one_pitch_have_it_and_others_have_none():
+    # tuning seeds
+    alike = [regularity(*prepared(seed, "alike")).pitch for seed in range(84_000, 84_012)]
+    assert sum(abs(p - 10) < 0.5 for p in alike) >= 10
+    irregular = [regularity(*prepared(seed, "irregular")).pitch for seed in range(84_000, 84_012)]
+    assert sum(p > 0 for p in irregular) <= 2
+
+
+def prepared(seed, kind) -> tuple:
+    return tuple(prepare(m, SolvingConfig()) for m in simulated_pair(seed, kind)[:2])
+
+
+def test_labels_are_compared_by_name_across_maps():
+    m1, m2 = along_x("a", [(0, "door"), (5, "junction")]), along_x("b", [(0, "junction"), (5, "door")])
+    found = regularity(m1, m2)
+    assert isinstance(found, Regularity)
+    assert found.gaps1.label.tolist() == found.gaps2.label[::-1].tolist()
