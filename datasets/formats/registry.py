@@ -1,0 +1,199 @@
+"""The formats that maps come in: found out, read and written through one interface.
+
+A format is a row in `FORMATS` and a module of this folder, which is imported when the format is first asked something:
+
+- ``detect(path, head) -> bool``: whether a file (or folder, whose ``head`` is empty) is of this format, from its
+  name and its first bytes, unpacked where it is compressed. Libraries aren't imported for it.
+- ``read(path, **options) -> Reading``: raises `InputError` where it can't be read, `FileFormatError` where it is
+  broken; what is odd but leaves a valid rest is a remark. Of a format with ``several`` maps in a file, ``part`` is one
+  of the options: the only map that is wanted, or None.
+- ``write(map, path) -> None``: whole or not at all.
+
+The first format that detects a file has it, so that those with a mark of their own stand first.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from ..errors import ConfigError, FileFormatError, InputError, OutputError, Problem
+from ..maps import LandmarkMap, Noise
+from .contents import contents
+from .heads import head_of
+from .reading import Reading
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One format: what it is called, what it can do, and what it can't hold.
+
+    ``suffixes``: endings of file names, the first one being what a writer is known by. ``lost``: what is lost in
+    writing, of `contents.SORTS`. ``options``: what the reader may be told, with its meaning. ``extra``: the optional
+    dependency of mapfuse that it needs. ``several``: a file may hold several maps.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    module: str
+    reads: bool = True
+    writes: bool = False
+    lost: tuple[str, ...] = ()
+    options: Mapping[str, str] = field(default_factory=dict, hash=False)
+    extra: str | None = None
+    several: bool = False
+
+    def detect(self, path: Path, head: bytes) -> bool:
+        """Whether a file or folder is of this format; ``head`` is its beginning, unpacked."""
+        return self.reads and bool(self._module().detect(path, head))
+
+    def read(self, path: str | Path, **options: Any) -> Reading:
+        """All maps in a file of this format."""
+        reading: Reading = self._module().read(Path(path), **options)
+        return reading
+
+    def write(self, map_: LandmarkMap, path: str | Path) -> None:
+        """Write a map, whole or not at all."""
+        self._module().write(map_, Path(path))
+
+    def lost_from(self, map_: LandmarkMap) -> tuple[str, ...]:
+        """What of this map the format can't hold."""
+        return tuple(sort for sort in contents(map_) if sort in self.lost)
+
+    def _module(self) -> ModuleType:
+        return import_module(f".{self.module}", __package__)
+
+
+#: In the order in which they are asked.
+FORMATS: tuple[Format, ...] = (Format("map", "mapfuse's own recorded map", (".map.json",), "own", writes=True),)
+
+_NOISE = tuple(f.name for f in fields(Noise) if f.name != "extra")
+
+
+def formats() -> tuple[Format, ...]:
+    """All formats, in the order in which they are asked.
+
+    >>> [f.name for f in formats() if f.name == "map"]
+    ['map']
+    """
+    return FORMATS
+
+
+def named(name: str) -> Format:
+    """The format of that name; `ConfigError` where there is none."""
+    for one in FORMATS:
+        if one.name == name:
+            return one
+    raise ConfigError(f"there is no format {name!r}; there are {', '.join(f.name for f in FORMATS)}")
+
+
+def format_of(path: str | Path) -> Format:
+    """The format of a file or folder, found out from its name and its beginning.
+
+    Raises `InputError` where there is no such file, `FileFormatError` where no format knows it.
+    """
+    path = Path(path)
+    head = head_of(path)
+    for one in FORMATS:
+        if one.detect(path, head):
+            return one
+    reason = "is in no format that mapfuse reads (`mapfuse formats` lists them)"
+    raise FileFormatError(path, (Problem("", reason),))
+
+
+def split_part(path: str | Path) -> tuple[Path, str | None]:
+    """``FILE#PART`` in two where there is no file of the whole name.
+
+    >>> split_part("clinic.building.yaml#L1")
+    (PosixPath('clinic.building.yaml'), 'L1')
+    """
+    whole = Path(path)
+    stem, mark, part = str(path).rpartition("#")
+    return (Path(stem), part) if mark and part and stem and not whole.exists() else (whole, None)
+
+
+def read_all(path: str | Path, *, format: str | None = None, **options: Any) -> tuple[Reading, Format]:
+    """Everything that a file (or ``FILE#PART``: one part of it) holds, and the format it was taken for.
+
+    ``format``: a format's name, instead of finding it out. ``options``: those of the format, and of any foreign format
+    the fields of `Noise`, which say what no foreign file does: how good the map is.
+
+    Raises `InputError` and `FileFormatError` as readers do, `ConfigError` for an option that the format hasn't.
+    """
+    path, part = split_part(path)
+    found = named(format) if format is not None else format_of(path)
+    noise: dict[str, Any] = {name: _number(name, options.pop(name)) for name in _NOISE if name in options}
+    for name in options:
+        if name not in found.options:
+            known = ", ".join([*found.options, *_NOISE])
+            raise ConfigError(f"{path}: the format {found.name} has no option {name!r}; it has {known}")
+    if found.several:
+        options["part"] = part
+    reading = found.read(path, **options)
+    maps = tuple(map_.replace(noise=replace(map_.noise, **noise)) for map_ in reading.maps) if noise else reading.maps
+    if part is not None and len(maps) != 1:
+        raise InputError(path, f"has no part {part!r}{_parts(reading)}")
+    if part is not None and not found.several:
+        raise InputError(path, f"is one map and has no part {part!r}")
+    return replace(reading, maps=maps), found
+
+
+def read_any(path: str | Path, *, format: str | None = None, **options: Any) -> tuple[LandmarkMap, Format]:
+    """The one map of a file in any format, and the format; what is odd in it is logged as a warning.
+
+    Raises what `read_all` does, and `InputError` where the file holds several maps and none is named (``FILE#PART``).
+
+    >>> from mapfuse.datasets import recordings
+    >>> map_, found = read_any(recordings.path("ground-floor-milka"))
+    >>> found.name
+    'map'
+    """
+    reading, found = read_all(path, format=format, **options)
+    if len(reading.maps) != 1:
+        example = f"{path}#{reading.parts[0]}" if reading.parts else "FILE#PART"
+        raise InputError(path, f"holds {len(reading.maps)} maps{_parts(reading)}; name one as {example}")
+    for remark in reading.remarks:
+        _LOG.warning("%s: %s", path, remark)
+    return reading.maps[0], found
+
+
+def write_any(map_: LandmarkMap, path: str | Path, *, format: str | None = None) -> tuple[Format, tuple[str, ...]]:
+    """Write a map in the format that the file's ending or ``format`` names; returns it and what it couldn't hold.
+
+    Raises `ConfigError` where no format writes such files, `OutputError` where the file can't be written, and
+    `MapfuseError` where the map is nothing that the format can hold.
+    """
+    found = named(format) if format is not None else writer_of(path)
+    if not found.writes:
+        raise ConfigError(f"the format {found.name} is only read, not written")
+    found.write(map_, path)
+    return found, found.lost_from(map_)
+
+
+def writer_of(path: str | Path) -> Format:
+    """The format whose ending is the longest one that a file's name has; `OutputError` where there is none."""
+    name = Path(path).name.lower()
+    found = [(len(s), one) for one in FORMATS if one.writes for s in one.suffixes if name.endswith(s)]
+    if not found:
+        endings = ", ".join(f"{one.suffixes[0]} ({one.name})" for one in FORMATS if one.writes)
+        raise OutputError(path, f"no format is written to such a name; there are {endings}")
+    return max(found, key=lambda item: item[0])[1]
+
+
+def _parts(reading: Reading) -> str:
+    return f" ({', '.join(reading.parts)})" if reading.parts else ""
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"option {name} must be a number, not {value!r}") from None
