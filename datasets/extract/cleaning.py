@@ -48,6 +48,18 @@ def cleaned(grid: Grid, config: ExtractConfig) -> Space:
     )
 
 
+def wall_cells(grid: Grid, config: ExtractConfig) -> Mask:
+    """Cells that are occupied or lean to it, less specks that measure at most ``speckle_m`` both ways."""
+    from scipy.ndimage import find_objects, label
+
+    occupied = grid.cells >= config.occupied_from
+    parts, count = label(occupied, np.ones((3, 3), dtype=bool))
+    large = np.zeros(count + 1, dtype=bool)
+    for k, place in enumerate(find_objects(parts), start=1):
+        large[k] = max(s.stop - s.start for s in place) * grid.resolution > config.speckle_m
+    return np.asarray(large[parts])
+
+
 def _without_islands(free: Mask, limit: float) -> Mask:
     """Free cells, and what stands alone among them and measures at most ``limit`` [cells] both ways."""
     from scipy.ndimage import find_objects, label

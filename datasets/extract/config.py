@@ -7,9 +7,11 @@ from dataclasses import dataclass, fields
 from ..errors import ConfigError
 
 _BOUNDS = {
+    "cell_m": (0.005, 1.0),
     "occupied_from": (1, 100),
     "smooth_m": (0.0, 1.0),
     "furniture_m": (0.0, 10.0),
+    "speckle_m": (0.0, 10.0),
     "passage_m": (0.05, 5.0),
     "part_m2": (0.0, 1e6),
     "spur_m": (0.0, 20.0),
@@ -33,9 +35,11 @@ _BOUNDS = {
 class ExtractConfig:
     """How landmarks are read out of a grid.
 
+    ``cell_m``: finer grids are looked at with cells of this size [m].
     ``occupied_from`` [percent]: cells from here on are wall; between a file's thresholds for free and occupied.
     ``smooth_m``: the edge of free space is smoothed over this length [m].
     ``furniture_m``: what stands alone in free space and is no larger [m] than this doesn't divide it.
+    ``speckle_m``: occupied specks up to this size [m] are no walls.
     ``passage_m``: narrower gaps [m] are no way for a robot, and rays that narrow through a window are no space.
     ``part_m2``: free parts smaller than this [m^2], apart from the largest, are left out.
     ``spur_m``: a side way that leads less than this [m] further than the space it leaves is no corridor.
@@ -51,9 +55,11 @@ class ExtractConfig:
     ``wall_straight_m``: walls are drawn to within this [m]; ``wall_shortest_m``: shorter ones are left out.
     """
 
+    cell_m: float = 0.1
     occupied_from: int = 10
     smooth_m: float = 0.1
     furniture_m: float = 1.2
+    speckle_m: float = 0.3
     passage_m: float = 0.5
     part_m2: float = 10.0
     spur_m: float = 1.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se2
+from ..arms import wrap
 from .config import ExtractConfig
 from .grid import Grid
 from .merging import merged_grid
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Turn of the grid [rad] from one look to the next: the golden angle, so that no two looks share an axis.
 _TURN = np.pi * (3 - np.sqrt(5))
+#: Resolutions are rarely whole fractions of each other to the last digit.
+_WHOLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -32,6 +35,7 @@ class Agreed:
 def agreed(grid: Grid, config: ExtractConfig) -> tuple[Agreed, ...]:
     """Places of a grid that are found again when the grid is turned."""
     grid = grid.trimmed()
+    grid = grid.coarser(max(1, int(config.cell_m / grid.resolution + _WHOLE)))
     base = places_of(grid, config)
     looks = [_turned(grid, k * _TURN, config) for k in range(1, config.looks)]
     sightings = _sightings(base, looks, config.same_m)
@@ -50,7 +54,7 @@ def _turned(grid: Grid, turn: float, config: ExtractConfig) -> tuple[Place, ...]
         replace(
             place,
             xy=se2.transform(back, place.xy),
-            arms=tuple(replace(arm, direction=float(se2.wrap(arm.direction - turn))) for arm in place.arms),
+            arms=tuple(replace(arm, direction=wrap(arm.direction - turn)) for arm in place.arms),
         )
         for place in places_of(merged_grid([grid], [pose]), config)
     )
@@ -82,7 +86,7 @@ def _joined_past(base: Sequence[Place], kept: set[int]) -> list[Place]:
             if here in seen:
                 return None
             seen.add(here)
-            on = [a for a in base[here].arms if a.passable and abs(float(se2.wrap(a.direction - way))) < SAME_ARM]
+            on = [a for a in base[here].arms if a.passable and abs(wrap(a.direction - way)) < SAME_ARM]
             if len(on) != 1:
                 return None
             here, way = on[0].to, on[0].direction
@@ -99,12 +103,12 @@ def _mean(place: Place, seen: Sequence[Place], share: float, number: dict[int, i
     for arm in place.arms:
         same = [near for other in seen for near in other.arms if _same(arm, near)]
         if arm.passable or 2 * (1 + len(same)) > 1 + len(seen):
-            turn = float(np.mean([0.0, *(float(se2.wrap(near.direction - arm.direction)) for near in same)]))
+            turn = float(np.mean([0.0, *(wrap(near.direction - arm.direction) for near in same)]))
             to = None if arm.to is None else number[arm.to]
-            arms.append(Arm(float(se2.wrap(arm.direction + turn)), arm.passable, to))
+            arms.append(Arm(wrap(arm.direction + turn), arm.passable, to))
     mean = Place(place.type, np.median(xy, axis=0), place.clearance, tuple(arms))
     return Agreed(mean, off.T @ off / max(1, len(off) - 1), share)
 
 
 def _same(a: Arm, b: Arm) -> bool:
-    return a.passable == b.passable and abs(float(se2.wrap(a.direction - b.direction))) < SAME_ARM
+    return a.passable == b.passable and abs(wrap(a.direction - b.direction)) < SAME_ARM

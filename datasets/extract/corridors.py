@@ -36,6 +36,12 @@ def corridors(graph: WayGraph, config: ExtractConfig) -> WayGraph:
     return graph
 
 
+def middle_lines(graph: WayGraph, config: ExtractConfig) -> list[Array]:
+    """Points (k, 2) [m] along all ways but those into corners; the graph that is given is used up."""
+    _prune(graph, config)
+    return [way.points for way in graph.ways]
+
+
 def _prune(graph: WayGraph, config: ExtractConfig) -> None:
     _joined_through(graph)
     while _spurs_removed(graph, config):
@@ -130,6 +136,7 @@ def _one_contracted(graph: WayGraph, config: ExtractConfig) -> bool:
         if a in (other.start, other.end):
             other.points = other.points.copy()
             other.points[[k for k, n in ((0, other.start), (-1, other.end)) if n == a]] = graph.xy[a]
+            other.measure()
     _remove(graph, [k for k, w in enumerate(graph.ways) if w.start == w.end and w.length < 2 * graph.clearance[a]])
     return True
 

@@ -87,3 +87,11 @@ class Grid:
         corner = se2.transform(self.origin, np.array([columns[0], rows[0]]) * self.resolution)
         cells = self.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         return Grid(self.name, cells, self.resolution, np.append(corner, self.origin[2]))
+
+    def coarser(self, factor: int) -> Grid:
+        """The same grid with cells ``factor`` times as wide, each the most occupied of those that it takes in."""
+        rows, columns = (-(-n // factor) * factor for n in self.cells.shape)
+        cells = np.full((rows, columns), UNKNOWN, dtype=np.int8)
+        cells[: self.cells.shape[0], : self.cells.shape[1]] = self.cells
+        blocks = cells.reshape(rows // factor, factor, columns // factor, factor)
+        return Grid(self.name, blocks.max(axis=(1, 3)), self.resolution * factor, self.origin)

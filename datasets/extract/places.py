@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se2
+from ..arms import wrap
 from ..maps import DOOR
 from .cleaning import Space, cleaned
 from .config import ExtractConfig
@@ -55,7 +56,7 @@ def places_of(grid: Grid, config: ExtractConfig) -> tuple[Place, ...]:
     found = []
     for node in kept:
         type_ = DOOR if node in graph.doors else "junction" if degree[node] > 2 else "corner"
-        ours = tuple(Arm(float(se2.wrap(d + turn)), p, number.get(to) if to != node else None) for d, p, to in arms[node])
+        ours = tuple(Arm(wrap(d + turn), p, number.get(to) if to != node else None) for d, p, to in arms[node])
         # the space has a rim of one cell
         xy = grid.points(graph.xy[node][::-1] / grid.resolution - 1)
         found.append(Place(type_, xy, graph.clearance[node], ours))
@@ -82,7 +83,7 @@ def _arms(graph: WayGraph, node: int, space: Space, resolution: float, config: E
     ways = [direction for direction, _, _ in arms]
     for turn in (np.pi, np.pi / 2, -np.pi / 2):
         for direction in ways:
-            wall = float(se2.wrap(direction + turn))
+            wall = wrap(direction + turn)
             free = len(arms) < MAX_ARMS and all(_apart(wall, d) > APART - 1e-9 for d, _, _ in arms)
             if free and _blocked(graph.xy[node], wall, graph.clearance[node], space, resolution):
                 arms.append((wall, False, None))
@@ -90,7 +91,7 @@ def _arms(graph: WayGraph, node: int, space: Space, resolution: float, config: E
 
 
 def _apart(a: float, b: float) -> float:
-    return abs(float(se2.wrap(a - b)))
+    return abs(wrap(a - b))
 
 
 def _direction(graph: WayGraph, way: Way, config: ExtractConfig) -> float:

@@ -22,11 +22,15 @@ class Way:
     points: Array
     clearance: Array
     to_wall: Array
+    length: float = field(init=False)
 
-    @property
-    def length(self) -> float:
-        """Length [m] along the points."""
-        return float(np.hypot(*np.diff(self.points, axis=0).T).sum())
+    def __post_init__(self) -> None:
+        self.measure()
+
+    def measure(self) -> None:
+        """Work out the length [m] along the points again, after they have been changed."""
+        steps = self.points[1:] - self.points[:-1]
+        self.length = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
     def turned(self) -> Way:
         """The same way from its end to its start."""
@@ -83,7 +87,7 @@ def skeleton_graph(space: Space, resolution: float) -> WayGraph:
     bones = np.argwhere(medial_axis(space.free, rng=0))
     index = np.full(space.free.shape, -1, dtype=np.intp)
     index[tuple(bones.T)] = np.arange(len(bones))
-    edges = _neighbours(index)
+    edges = neighbours(index)
     xy = bones[:, ::-1] * resolution
     clearance, to_wall = space.clearance[tuple(bones.T)], space.to_wall[tuple(bones.T)]
     graph = WayGraph({}, {}, [])
@@ -95,7 +99,7 @@ def skeleton_graph(space: Space, resolution: float) -> WayGraph:
     return graph
 
 
-def _neighbours(index: NDArray[np.intp]) -> list[tuple[int, int]]:
+def neighbours(index: NDArray[np.intp]) -> list[tuple[int, int]]:
     """Pairs of neighbouring skeleton cells; diagonal ones only where no third cell joins them."""
     found = []
     here = np.pad(index, 1, constant_values=-1)
