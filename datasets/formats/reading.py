@@ -28,12 +28,13 @@ def remark(found: Sequence[object], what: str, done: str) -> tuple[str, ...]:
     """One sentence on things that are wrong in the same way, the first `NAMED` of them by name; none: no sentence.
 
     >>> remark(["7", "9"], "edges to nodes that aren't there", "left out")
-    ("2 edges to nodes that aren't there (7, 9): left out",)
+    ("edges to nodes that aren't there (7, 9): left out",)
     """
     if not found:
         return ()
-    names = ", ".join(str(item)[:60] for item in found[:NAMED]) + (", ..." if len(found) > NAMED else "")
-    return (f"{len(found)} {what} ({names}): {done}",)
+    names = ", ".join(str(item)[:60] for item in found[:NAMED])
+    more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    return (f"{what} ({names}{more}): {done}",)
 
 
 def counted(count_from_what: Mapping[str, int], done: str) -> tuple[str, ...]:

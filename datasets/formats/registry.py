@@ -23,8 +23,9 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import ConfigError, FileFormatError, InputError, OutputError, Problem
+from ..mapfile import validate
 from ..maps import LandmarkMap, Noise
-from .contents import contents
+from .contents import SORTS, contents
 from .heads import head_of
 from .reading import Reading
 
@@ -72,8 +73,123 @@ class Format:
         return import_module(f".{self.module}", __package__)
 
 
+#: What belongs to links, for formats that have none.
+_LINKS = ("arms", "ways", "distances", "compass")
+#: What formats have no field for that know nothing of mapfuse but points.
+_PLAIN_LOSES = (
+    "robot",
+    "recorded_at",
+    "heading",
+    *_LINKS,
+    "counters",
+    "existence",
+    "noise",
+    "walls",
+    "same_as",
+    "extra",
+)
+#: Graphs of places and ways.
+_GRAPH_LOSES = (*(sort for sort in _PLAIN_LOSES if sort != "ways"), "covariance", "joint covariance", "path")
+#: Tables with a row per landmark.
+_TABLE_LOSES = ("robot", "recorded_at", *_LINKS, "joint covariance", "noise", "walls", "path", "same_as", "extra")
+
+_TYPE = "what landmarks are that the file has no label for"
+_MATRIX = "what follows a measurement: covariance, information or root (of information)"
+
 #: In the order in which they are asked.
-FORMATS: tuple[Format, ...] = (Format("map", "mapfuse's own recorded map", (".map.json",), "own", writes=True),)
+FORMATS: tuple[Format, ...] = (
+    Format("map", "mapfuse's own recorded map", (".map.json",), "own", writes=True),
+    Format(
+        "gis",
+        "GeoJSON with ellipses",
+        (".gis.geojson",),
+        "gis",
+        writes=True,
+        lost=("robot", "recorded_at", *_LINKS, "joint covariance", "noise", "same_as", "extra"),
+    ),
+    Format("nav2", "Nav2 Route Server graph", (".geojson", ".nav2.geojson"), "nav2", writes=True, lost=_GRAPH_LOSES),
+    Format(
+        "mrclam",
+        "MRCLAM folder",
+        ("a folder",),
+        "mrclam_folder",
+        options={"barcodes": "no: tubes are nameless to the mapper (default: yes)"},
+        several=True,
+    ),
+    Format(
+        "rosbag",
+        "rosbag2 folder or MCAP file",
+        (".mcap", ".db3", "a folder"),
+        "rosbag",
+        options={
+            "odometry": "topic of nav_msgs/Odometry (default: the only one)",
+            "landmarks": "topic of MarkerArray, PoseArray or Detection3DArray (default: the only one)",
+            "type": _TYPE,
+            "detection_range": "how far landmarks are seen [m]",
+            "range_sigma": "standard deviation of their distance [m]",
+            "bearing_sigma": "standard deviation of their bearing [rad]",
+        },
+        extra="rosbag",
+    ),
+    Format("graphnav", "GraphNav map of Spot", ("graph", "a folder"), "graphnav", extra="graphnav"),
+    Format("rmf", "Open-RMF building", (".building.yaml",), "rmf", several=True),
+    Format(
+        "tmap2",
+        "LCAS and STRANDS topological map",
+        (".tmap2.yaml", ".tmap2", ".tplg", ".tmap", ".yaml"),
+        "tmap2",
+        writes=True,
+        lost=_GRAPH_LOSES,
+    ),
+    Format(
+        "g2o",
+        "g2o graph with landmarks",
+        (".g2o",),
+        "g2o",
+        writes=True,
+        lost=(*_PLAIN_LOSES, "joint covariance"),
+        options={"type": _TYPE},
+    ),
+    Format("isam", "GTSAM and iSAM text", (".txt", ".graph"), "isam", options={"type": _TYPE, "matrix": _MATRIX}),
+    Format("mat", "local submap with covariance (MATLAB)", (".mat",), "mat", options={"type": _TYPE}),
+    Format(
+        "parquet",
+        "object list (Parquet)",
+        (".parquet", ".pq"),
+        "parquet",
+        writes=True,
+        lost=_TABLE_LOSES,
+        options={"type": _TYPE},
+        extra="parquet",
+    ),
+    Format(
+        "objects",
+        "object list (CSV or text)",
+        (".csv", ".tsv", ".txt"),
+        "objects",
+        writes=True,
+        lost=("name", *_TABLE_LOSES),
+        options={"type": _TYPE},
+    ),
+    Format(
+        "ply",
+        "PLY point cloud",
+        (".ply",),
+        "ply",
+        reads=False,
+        writes=True,
+        lost=(*_PLAIN_LOSES, "ids", "covariance", "joint covariance"),
+    ),
+    Format(
+        "tum",
+        "TUM trajectory",
+        (".tum",),
+        "tum",
+        reads=False,
+        writes=True,
+        lost=tuple(sort for sort in SORTS if sort != "path"),
+    ),
+)
 
 _NOISE = tuple(f.name for f in fields(Noise) if f.name != "extra")
 
@@ -105,8 +221,18 @@ def format_of(path: str | Path) -> Format:
     for one in FORMATS:
         if one.detect(path, head):
             return one
-    reason = "is in no format that mapfuse reads (`mapfuse formats` lists them)"
+    if _is_json(path, head):
+        return FORMATS[0]
+    reason = f"is {'a folder ' * path.is_dir()}in no format that mapfuse reads (`mapfuse formats` lists them)"
     raise FileFormatError(path, (Problem("", reason),))
+
+
+def _is_json(path: Path, head: bytes) -> bool:
+    """Whether mapfuse's own reader is the one that says what is wrong with a file."""
+    text = head.lstrip()
+    if path.is_dir() or path.suffix.lower() == ".geojson" or b'"FeatureCollection"' in head:
+        return False
+    return path.suffix.lower() == ".json" or text[:1] in (b"{", b"[")
 
 
 def split_part(path: str | Path) -> tuple[Path, str | None]:
@@ -130,6 +256,8 @@ def read_all(path: str | Path, *, format: str | None = None, **options: Any) -> 
     """
     path, part = split_part(path)
     found = named(format) if format is not None else format_of(path)
+    if found is FORMATS[0] and (own := [name for name in _NOISE if name in options]):
+        raise ConfigError(f"{path}: states its own {own[0]}, which no option replaces")
     noise: dict[str, Any] = {name: _number(name, options.pop(name)) for name in _NOISE if name in options}
     for name in options:
         if name not in found.options:
@@ -138,6 +266,10 @@ def read_all(path: str | Path, *, format: str | None = None, **options: Any) -> 
     if found.several:
         options["part"] = part
     reading = found.read(path, **options)
+    if found is not FORMATS[0]:
+        for map_ in reading.maps:
+            if problems := validate(map_):
+                raise FileFormatError(path, problems)
     maps = tuple(map_.replace(noise=replace(map_.noise, **noise)) for map_ in reading.maps) if noise else reading.maps
     if part is not None and len(maps) != 1:
         raise InputError(path, f"has no part {part!r}{_parts(reading)}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from . import anymap
 from .console import UsageError, check_outputs, check_picture, note, say, say_bytes, warn_on_stderr, writing
 
 if TYPE_CHECKING:
-    from mapfuse.datasets.maps import LandmarkMap
     from mapfuse.fusion import FuseConfig, FusedMap
 
 
@@ -25,7 +24,9 @@ class Mode(StrEnum):
 
 
 def fuse_files(
-    maps: Annotated[list[Path], typer.Argument(help="Recorded maps (NAME.map.json).", metavar="MAP")],
+    maps: Annotated[
+        list[Path], typer.Argument(help="Recorded maps, in any format that `mapfuse formats` lists.", metavar="MAP")
+    ],
     *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The result, OUT.fused.json.", show_default=False)
@@ -47,6 +48,7 @@ def fuse_files(
         float | None,
         typer.Option("--overlap-prior", metavar="P", help="Probability, before looking, of overlap (0.5)."),
     ] = None,
+    given: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=anymap.SET_HELP)] = None,
     mode: Annotated[Mode | None, typer.Option("--mode", help="How hypotheses are proposed.")] = None,
     config: Annotated[
         Path | None, typer.Option("--config", metavar="FILE", help="Parameters; see `mapfuse config`.")
@@ -56,13 +58,13 @@ def fuse_files(
 
     Exit code 0 whatever was decided: "no overlap" is an answer.
     """
-    if len(maps) < 2:
-        raise UsageError("give at least two maps to fuse")
     check_picture("--plot", plot)
     check_outputs({"-o": output, "--plot": plot, "--map": merged_map}, [*maps, *([config] if config else [])])
     warn_on_stderr()
     settings = _settings(config, accept, overlap_prior, mode)
-    recorded = read_maps(maps)
+    recorded = anymap.read_maps(maps, anymap.options(given or []))
+    if len(recorded) < 2:
+        raise UsageError("give at least two maps to fuse")
 
     from mapfuse.fusion import fuse
 
@@ -87,31 +89,6 @@ def _settings(config: Path | None, accept: float | None, overlap_prior: float | 
     if mode is not None:
         settings = replace(settings, matching=replace(settings.matching, mode=mode.value))
     return settings
-
-
-def read_maps(paths: Sequence[Path]) -> list[LandmarkMap]:
-    """Read maps; raises `UsageError` with the errors of all files, or where two maps have one name."""
-    from mapfuse.datasets import read_map
-    from mapfuse.datasets.errors import MapfuseError
-
-    maps: list[LandmarkMap] = []
-    wrong: list[str] = []
-    for path in paths:
-        try:
-            maps.append(read_map(path))
-        except MapfuseError as error:
-            wrong.append(str(error))
-    if wrong:
-        raise UsageError("\n".join(wrong))
-    path_from_name: dict[str, Path] = {}
-    for path, map_ in zip(paths, maps, strict=True):
-        if map_.name in path_from_name:
-            raise UsageError(
-                f"{path_from_name[map_.name]} and {path}: both maps are named {map_.name!r}; "
-                "names tell maps apart, so give them different ones"
-            )
-        path_from_name[map_.name] = path
-    return maps
 
 
 def _write(

@@ -7,19 +7,24 @@ from typing import Annotated
 
 import typer
 
+from . import anymap
 from .console import check_outputs, check_picture, say, warn_on_stderr, writing
 from .progress import watched
 
-#: The first line of a log isn't longer [bytes].
-_HEAD_BYTES = 2**20
-
 
 def show(
-    file: Annotated[Path, typer.Argument(help="A recorded map, a fused map or a log.", metavar="FILE")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="A map in any format that `mapfuse formats` lists (FILE#PART for one of several), a result or a log.",
+            metavar="FILE",
+        ),
+    ],
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="The picture (.png, .svg, .pdf); by default FILE's name with .png."),
     ] = None,
+    given: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=anymap.SET_HELP)] = None,
 ) -> None:
     """Draw a recorded map, a fused map, or a log with its truth where that stands beside it."""
     picture = output if output is not None else Path(_stem(file) + ".png")
@@ -29,21 +34,18 @@ def show(
     warn_on_stderr()
     if _is_log(file):
         _show_log(file, picture)
-    elif _format_of(file).startswith("mapfuse.fused/"):
-        from mapfuse.fusion import read_fused
+    elif (fused := anymap.fused_in(file)) is not None:
         from mapfuse.fusion.show import draw_fused
 
         from .summary import summarise
 
-        fused = read_fused(file)
         with writing(picture):
             draw_fused(fused, picture)
         say(summarise(fused))
     else:
-        from mapfuse.datasets import read_map
         from mapfuse.fusion.show import draw_map
 
-        map_ = read_map(file)
+        map_ = anymap.read_one(file, anymap.options(given or []))
         with writing(picture):
             draw_map(map_, picture)
         say(f"{map_.name}: {len(map_)} landmarks")
@@ -75,29 +77,13 @@ def _show_log(file: Path, picture: Path) -> None:
 
 
 def _is_log(file: Path) -> bool:
-    """Whether a file holds a log: lines of JSON of which the first one says so, or anything compressed."""
+    """Whether a file holds a log: lines of JSON of which the first one says so, or compressed and named as one."""
+    if file.name.lower().endswith((".jsonl", ".jsonl.gz")):
+        return True
+    from mapfuse.datasets.errors import InputError
+    from mapfuse.datasets.formats.heads import head_of
+
     try:
-        with file.open("rb") as stream:
-            line = stream.readline(_HEAD_BYTES)
-    except OSError:
+        return b'"mapfuse.log/' in head_of(file).partition(b"\n")[0]
+    except InputError:
         return False  # the readers say what is wrong
-    return line[:2] == b"\x1f\x8b" or _format(line).startswith("mapfuse.log/")
-
-
-def _format_of(file: Path) -> str:
-    """The file's own word for its format, empty where it has none: the reader of maps then says what is wrong."""
-    from mapfuse.datasets.files import read_whole
-
-    return _format(read_whole(file))
-
-
-def _format(document: bytes) -> str:
-    import msgspec
-
-    class Head(msgspec.Struct):
-        format: str = ""
-
-    try:
-        return msgspec.json.decode(document, type=Head).format
-    except (msgspec.MsgspecError, UnicodeDecodeError):
-        return ""
