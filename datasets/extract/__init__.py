@@ -3,8 +3,10 @@
 from .config import ExtractConfig
 from .grid import FREE, OCCUPIED, UNKNOWN, Grid
 from .gridfile import GridReading, read_grid, write_grid
+from .halves import grid_halves
 from .landmarks import extract_landmarks
 from .merging import merged_grid
+from .planmap import map_of_floor, plan_landmarks
 
 __all__ = [
     "FREE",
@@ -14,7 +16,10 @@ __all__ = [
     "Grid",
     "GridReading",
     "extract_landmarks",
+    "grid_halves",
+    "map_of_floor",
     "merged_grid",
+    "plan_landmarks",
     "read_grid",
     "write_grid",
 ]

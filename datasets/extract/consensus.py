@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 _TURN = np.pi * (3 - np.sqrt(5))
 #: Resolutions are rarely whole fractions of each other to the last digit.
 _WHOLE = 1e-6
+#: Arms stand in the map that this share of a place's sightings have; of others nothing is said.
+_PASSABLE, _BLOCKED = 0.6, 0.75
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,7 +104,8 @@ def _mean(place: Place, seen: Sequence[Place], share: float, number: dict[int, i
     arms = []
     for arm in place.arms:
         same = [near for other in seen for near in other.arms if _same(arm, near)]
-        if arm.passable or 2 * (1 + len(same)) > 1 + len(seen):
+        certain = _PASSABLE if arm.passable else _BLOCKED
+        if arm.to is not None or 1 + len(same) >= certain * (1 + len(seen)):
             turn = float(np.mean([0.0, *(wrap(near.direction - arm.direction) for near in same)]))
             to = None if arm.to is None else number[arm.to]
             arms.append(Arm(wrap(arm.direction + turn), arm.passable, to))

@@ -92,15 +92,9 @@ def read_grid(path: str | Path) -> GridReading:
 
 def _header(path: Path) -> _Header:
     """The YAML file's members, checked."""
-    import yaml
+    from ..formats import safeyaml
 
-    try:
-        found = yaml.safe_load(read_whole(path, MAX_YAML_BYTES))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}" if mark is not None else ""
-        reason = getattr(error, "problem", None) or "can't be parsed"
-        raise FileFormatError(path, (Problem(place, f"is no YAML: {reason}"),)) from None
+    found = safeyaml.loads(_text(path), path)
     if not isinstance(found, Mapping):
         raise FileFormatError(path, (Problem("", "is no YAML of a map_server grid: it holds no members"),))
     problems: list[Problem] = []
@@ -134,6 +128,13 @@ def _header(path: Path) -> _Header:
     if problems:
         raise FileFormatError(path, tuple(problems))
     return header
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_whole(path, MAX_YAML_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, (Problem("", f"is no text in UTF-8: {error.reason}"),)) from None
 
 
 def _brief(value: Any) -> str:

@@ -25,16 +25,16 @@ Array = NDArray[np.float64]
 #: Detection is that between sessions; within one grid more is found again, and existence says of each landmark how much.
 NOISE = Noise(
     distance_sigma_per_metre=0.005,
-    distance_sigma_floor=0.12,
+    distance_sigma_floor=0.08,
     heading_sigma=0.08,
-    position_sigma=0.12,
+    position_sigma=0.08,
     detection_rate=0.75,
     false_alarm_rate=0.2,
     door_detection_rate=0.75,
     door_false_alarm_rate=0.2,
 )
 #: A place on which all looks agree is there with this probability: another session may have found the door shut.
-_SURE = 0.92
+_SURE = 0.95
 #: The grid is bent smoothly: a distance d in it is wrong by this share of d, up to about this length [m].
 _BEND, _BEND_LENGTH = 0.005, 30.0
 

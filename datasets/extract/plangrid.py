@@ -126,10 +126,12 @@ def _corridors(parts: NDArray[np.int32], count: int, sides: Sequence[tuple[int, 
     long = np.zeros(count + 1, dtype=bool)
     for k, place in enumerate(find_objects(parts), start=1):
         long[k] = np.hypot(*(s.stop - s.start for s in place)) * CELL_M >= _LONG
-    wanted = long & (doors >= max(1, _BUSY * doors[long].max(initial=0)))
+    long[parts[0, 0]] = False
+    wanted = long & (doors >= _BUSY * doors[long].max(initial=0))
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)
     joined = np.zeros(count + 1, dtype=bool)
     if wanted.any():
-        joined[np.argmax(np.where(wanted, doors, -1))] = True
+        joined[np.lexsort((sizes, doors, wanted))[-1]] = True
     for _ in sides:
         more = [b for pair in sides for a, b in (pair, pair[::-1]) if joined[a] and wanted[b] and not joined[b]]
         if not more:

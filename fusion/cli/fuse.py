@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import anymap
+from . import anymap, grids
 from .console import UsageError, check_outputs, check_picture, note, say, say_bytes, warn_on_stderr, writing
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ def fuse_files(
     merged_map: Annotated[
         Path | None, typer.Option("--map", help="The merged map as a map again, OUT.map.json.")
     ] = None,
+    grid: Annotated[
+        Path | None, typer.Option("--grid", metavar="OUT.yaml", help="The grids among the maps as one, with its picture.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result file on standard output.")] = False,
     no_embed: Annotated[bool, typer.Option("--no-embed", help="Leave the input maps out of the result file.")] = False,
     require_merge: Annotated[
@@ -59,7 +62,8 @@ def fuse_files(
     Exit code 0 whatever was decided: "no overlap" is an answer.
     """
     check_picture("--plot", plot)
-    check_outputs({"-o": output, "--plot": plot, "--map": merged_map}, [*maps, *([config] if config else [])])
+    grids.check_output(grid, maps)
+    check_outputs({"-o": output, "--plot": plot, "--map": merged_map, "--grid": grid}, [*maps, *([config] if config else [])])
     warn_on_stderr()
     settings = _settings(config, accept, overlap_prior, mode)
     recorded = anymap.read_maps(maps, anymap.options(given or []))
@@ -70,6 +74,8 @@ def fuse_files(
 
     fused = fuse(recorded, settings)
     _write(fused, output, plot, merged_map, as_json=as_json, embed=not no_embed)
+    if grid is not None:
+        grids.write_merged(fused, maps, grid)
     if require_merge and fused.decision != "merged":
         raise typer.Exit(3)
 
