@@ -4,8 +4,8 @@
     .venv/bin/python benchmarks/extraction.py repeatability GRID.yaml --write
     .venv/bin/python benchmarks/extraction.py repeatability GRID.yaml --other GRID2.yaml
 
-``halves`` cuts the grid in two across a random direction (30 % of it in both), turns and shifts each at random, extracts
-and fuses. Judged are seeds from 0 on; whatever was tuned was tuned on seeds from `TUNING` on (``--tuning``).
+``halves`` cuts the grid in two across a random direction (30 % of it in both), turns and shifts each at random,
+extracts and fuses. Judged are seeds from 0 on; whatever was tuned was tuned on seeds from `TUNING` on (``--tuning``).
 ``repeatability`` compares the landmarks of a grid with those of the same grid turned by random angles of tuning seeds,
 or with another session's grid in the same frame. Three seeds are the quick form of either.
 """
@@ -16,6 +16,7 @@ import argparse
 import platform
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from time import process_time
 
@@ -27,13 +28,14 @@ from mapfuse.datasets.extract import Grid, extract_landmarks, grid_halves, merge
 from mapfuse.fusion import fuse
 
 TUNING = 1_000_000
+Sighting = tuple[str, float, bool, list[float], list[float]]
 HERE = Path(__file__).resolve().parent
 #: Beyond this [m] two landmarks are not the same one.
 REACH = 1.0
 
 
 def halves_row(grid: Grid, seed: int) -> tuple[str, str, float, float]:
-    """One line of the table, the decision, and the error of T12 over map 2's landmarks [m] and of its angle [deg]."""
+    """One line of the table, the decision, and the errors of T12: mean over map 2's landmarks [m], angle [deg]."""
     grid1, grid2, truth = grid_halves(grid, np.random.default_rng(seed))
     begin = process_time()
     map1, map2 = extract_landmarks(grid1), extract_landmarks(grid2)
@@ -66,12 +68,13 @@ def halves(grid: Grid, first: int, count: int) -> list[str]:
         print(rows[-1][0], flush=True)
     merged = [row for row in rows if row[1] == "merged"]
     wrong = [row for row in merged if row[2] >= 0.3 or row[3] >= 1.0]
-    worst = f"{max((row[2] for row in merged), default=0.0):.3f} m and {max((row[3] for row in merged), default=0.0):.2f} deg"
+    metres, degrees = (max((row[k] for row in merged), default=0.0) for k in (2, 3))
+    worst = f"{metres:.3f} m and {degrees:.2f} deg"
     verdict = f"{len(merged)} of {count} merged, {len(wrong)} of them off by 0.3 m or 1 degree; worst {worst}"
     return [*lines, *(row[0] for row in rows), "", verdict]
 
 
-def sightings(map1: LandmarkMap, map2: LandmarkMap, T12: np.ndarray) -> Iterator[tuple[str, float, bool, list[float], list[float]]]:
+def sightings(map1: LandmarkMap, map2: LandmarkMap, T12: np.ndarray) -> Iterator[Sighting]:
     """Of each landmark of map 1: type, existence, whether map 2 has it, how far off [m per axis], arms' turn [rad]."""
     at2 = se2.transform(T12, map2.positions)
     for k, landmark in enumerate(map1.landmarks):
@@ -101,10 +104,13 @@ def repeatability(grid: Grid, other: Grid | None, count: int) -> list[str]:
         turn = np.array([0.0, 0.0, np.random.default_rng(seed).uniform(-np.pi, np.pi)])
         map2 = extract_landmarks(merged_grid([grid], [turn]))
         found += [*sightings(map1, map2, se2.inverse(turn)), *sightings(map2, map1, turn)]
-    lines = ["| landmarks | count | found again | sigma per axis [m] | sigma of an arm [rad] |", "|---|---|---|---|---|"]
+    lines = [
+        "| landmarks | count | found again | sigma per axis [m] | sigma of an arm [rad] |",
+        "|---|---|---|---|---|",
+    ]
     low = [0.0, 0.6, 0.75, 0.9, 1.01]
     groups = [(t, [f for f in found if f[0] == t]) for t in ("corner", "junction", "door")]
-    shares = [(f"existence {a} to {min(b, 1.0)}", [f for f in found if a <= f[1] < b]) for a, b in zip(low, low[1:], strict=False)]
+    shares = [(f"existence {a} to {min(b, 1.0)}", [f for f in found if a <= f[1] < b]) for a, b in pairwise(low)]
     for name, ours in [*groups, *shares, ("all", found)]:
         off = np.array([x for f in ours for x in f[3]])
         turned = np.array([x for f in ours for x in f[4]])

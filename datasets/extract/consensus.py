@@ -27,7 +27,7 @@ _PASSABLE, _BLOCKED = 0.6, 0.75
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Agreed:
-    """A place on which looks agree: mean of all sightings, their ``covariance`` (2, 2) [m^2], and ``share`` of looks."""
+    """A place on which looks agree: median of all sightings, their ``covariance`` (2, 2) [m^2], ``share`` of looks."""
 
     place: Place
     covariance: Array
@@ -43,9 +43,9 @@ def agreed(grid: Grid, config: ExtractConfig) -> tuple[Agreed, ...]:
     sightings = _sightings(base, looks, config.same_m)
     shares = np.array([(1 + len(seen)) / config.looks for seen in sightings])
     kept = np.flatnonzero(shares >= config.agreement).tolist()
-    base = _joined_past(base, set(kept))
+    joined = _joined_past(base, set(kept))
     number = {k: n for n, k in enumerate(kept)}
-    return tuple(_mean(base[k], sightings[k], float(shares[k]), number) for k in kept)
+    return tuple(_mean(joined[k], sightings[k], float(shares[k]), number) for k in kept)
 
 
 def _turned(grid: Grid, turn: float, config: ExtractConfig) -> tuple[Place, ...]:
@@ -98,7 +98,7 @@ def _joined_past(base: Sequence[Place], kept: set[int]) -> list[Place]:
 
 
 def _mean(place: Place, seen: Sequence[Place], share: float, number: dict[int, int]) -> Agreed:
-    """The place with the mean position of all its sightings, and the arms that most of them have."""
+    """The place with the median position of all its sightings, and the arms that most of them have."""
     xy = np.array([place.xy, *(other.xy for other in seen)])
     off = xy - np.median(xy, axis=0)
     arms = []

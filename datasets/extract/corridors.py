@@ -120,7 +120,11 @@ def _one_contracted(graph: WayGraph, config: ExtractConfig) -> bool:
     for k, way in enumerate(graph.ways):
         wide = max(graph.clearance[way.start], graph.clearance[way.end])
         length = way.length
-        if way.start != way.end and min(degree[way.start], degree[way.end]) > 2 and length < max(config.shortest_m, wide):
+        if (
+            way.start != way.end
+            and min(degree[way.start], degree[way.end]) > 2
+            and length < max(config.shortest_m, wide)
+        ):
             found.append((length, k))
     if not found:
         return False
@@ -230,7 +234,7 @@ def _on_their_lines(graph: WayGraph, config: ExtractConfig) -> None:
                 pull = pull + weight @ point
         moved = np.linalg.solve(information, pull)
         if np.hypot(*(moved - graph.xy[node])) <= max(config.shortest_m, wide):
-            graph.xy[node] = moved
+            graph.xy[node] = np.asarray(moved, dtype=float)
 
 
 def line_of(way: Way, wide: float) -> tuple[Array, Array] | None:

@@ -75,7 +75,7 @@ class Grid:
     def at(self, points: ArrayLike) -> Cells:
         """Values (...) of the cells under points (..., 2) [m, map frame]; `UNKNOWN` outside."""
         cells = self.cells_of(points)
-        inside = ((cells >= 0) & (cells < self.cells.shape)).all(axis=-1)
+        inside = np.asarray(((cells >= 0) & (cells < self.cells.shape)).all(axis=-1))
         within = np.where(inside[..., None], cells, 0)
         return np.where(inside, self.cells[within[..., 0], within[..., 1]], UNKNOWN).astype(np.int8)
 

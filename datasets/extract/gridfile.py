@@ -22,7 +22,6 @@ import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -76,11 +75,12 @@ def read_grid(path: str | Path) -> GridReading:
     breaks the rules.
     """
     path = Path(path)
+    no_remarks: tuple[str, ...] = ()
     if path.suffix.lower() in _PICTURES:
         beside = path.with_suffix(".yaml")
         if not beside.is_file():
             return _bare_picture(path)
-        header, (image, remarks) = _header(beside), (path, ())
+        header, image, remarks = _header(beside), path, no_remarks
     else:
         header = _header(path)
         image, remarks = _image(path, header.image)
@@ -111,13 +111,13 @@ def _header(path: Path) -> _Header:
         problems.append(Problem("image", f"must be the name of the picture, not {_brief(image)}"))
     if mode not in ("trinary", "scale", "raw"):
         problems.append(Problem("mode", f"must be trinary, scale or raw, not {_brief(mode)}"))
-    origin = found.get("origin")
-    if not _is_pose(origin):
+    origin = _pose(found.get("origin"))
+    if origin is None:
         problems.append(Problem("origin", "must be a list of three numbers [x, y, yaw] of at most 1e9"))
     header = _Header(
         image=str(image),
         resolution=number("resolution", None, 1e-4, 1000.0),
-        origin=(0.0, 0.0, 0.0) if not _is_pose(origin) else (float(origin[0]), float(origin[1]), float(origin[2])),
+        origin=origin or (0.0, 0.0, 0.0),
         negate=bool(number("negate", 0, 0, 1)),
         occupied=number("occupied_thresh", _OCCUPIED, 0, 1),
         free=number("free_thresh", _FREE, 0, 1),
@@ -142,12 +142,12 @@ def _brief(value: Any) -> str:
     return said(value) if value is None or isinstance(value, (bool, int, float, str)) else f"a {type(value).__name__}"
 
 
-def _is_pose(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(x, (int, float)) and not isinstance(x, bool) and isfinite(x) and abs(x) <= 1e9 for x in value)
-    )
+def _pose(value: Any) -> tuple[float, float, float] | None:
+    """Three finite numbers of at most 1e9; None where it isn't that."""
+    if not isinstance(value, list) or len(value) != 3:
+        return None
+    numbers = [float(x) for x in value if isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) <= 1e9]
+    return (numbers[0], numbers[1], numbers[2]) if len(numbers) == 3 else None
 
 
 def _image(path: Path, name: str) -> tuple[Path, tuple[str, ...]]:
@@ -166,7 +166,7 @@ def _image(path: Path, name: str) -> tuple[Path, tuple[str, ...]]:
             reason = "doesn't exist" if inside else "lies outside of the file's folder"
             return own, (f"image: {said(name)} {reason}; {own.name}, the picture of the same name, is taken",)
     if not inside:
-        raise FileFormatError(path, (Problem("image", f"{said(name)} leads out of the file's folder, and is not read"),))
+        raise FileFormatError(path, (Problem("image", f"{said(name)} leads out of the file's folder: not read"),))
     raise FileFormatError(path, (Problem("image", f"{said(name)}: there is no such picture"),))
 
 
@@ -179,7 +179,9 @@ def _bare_picture(path: Path) -> GridReading:
         reason = f"there is no {path.stem}.yaml beside it, and it doesn't say how large its cells are"
         raise FileFormatError(path, (Problem("", reason),))
     header = _Header(path.name, resolution, (0.0, 0.0, 0.0), False, _OCCUPIED, _FREE, "trinary")
-    remark = f"there is no {path.stem}.yaml; cells of {resolution:g} m, as its comment says, and the origin at its corner"
+    remark = (
+        f"there is no {path.stem}.yaml; cells of {resolution:g} m, as its comment says, and the origin at its corner"
+    )
     return GridReading(Grid(path.stem, _cells(_shades(path), header), resolution, np.zeros(3)), (remark,))
 
 

@@ -22,7 +22,7 @@ from .walls import walls_of
 
 Array = NDArray[np.float64]
 
-#: Detection is that between sessions; within one grid more is found again, and existence says of each landmark how much.
+#: Detection is that between sessions; of one grid more is found again, and existence says of each landmark how much.
 NOISE = Noise(
     distance_sigma_per_metre=0.005,
     distance_sigma_floor=0.08,
@@ -66,7 +66,12 @@ def _landmark(k: int, found: Sequence[Agreed], ids: Sequence[str]) -> Landmark:
     for arm in one.place.arms:
         step = None if arm.to is None else found[arm.to].place.xy - one.place.xy
         bearing = None if step is None else float(np.arctan2(step[1], step[0]))
-        if arm.to is not None and bearing is not None and abs(wrap(bearing - arm.direction)) < SAME_ARM:
+        if (
+            arm.to is not None
+            and step is not None
+            and bearing is not None
+            and abs(wrap(bearing - arm.direction)) < SAME_ARM
+        ):
             links.append(Link("open", bearing, None, ids[arm.to], float(np.hypot(*step)), 1))
         else:
             links.append(Link("open" if arm.passable else "blocked", arm.direction))

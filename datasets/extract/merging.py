@@ -49,7 +49,7 @@ def merged_grid(grids: Sequence[Grid], poses: Sequence[ArrayLike], name: str = "
     cells = empty.cells.copy()
     for first in range(0, rows, _ROWS):
         part = cells[first : first + _ROWS]
-        at = empty.points(np.moveaxis(np.indices(part.shape), 0, -1) + (first, 0))
+        at = empty.points(np.moveaxis(np.indices(part.shape), 0, -1) + np.array([first, 0]))
         for grid, pose in zip(grids, poses, strict=True):
             np.maximum(part, grid.at(se2.transform(se2.inverse(np.asarray(pose, dtype=float)), at)), out=part)
     return Grid(name, cells, resolution, origin)

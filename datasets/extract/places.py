@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import se2
 from ..arms import wrap
 from ..maps import DOOR
 from .cleaning import Space, cleaned
@@ -56,7 +55,9 @@ def places_of(grid: Grid, config: ExtractConfig) -> tuple[Place, ...]:
     found = []
     for node in kept:
         type_ = DOOR if node in graph.doors else "junction" if degree[node] > 2 else "corner"
-        ours = tuple(Arm(wrap(d + turn), p, number.get(to) if to != node else None) for d, p, to in arms[node])
+        ours = tuple(
+            Arm(wrap(d + turn), p, None if to is None or to == node else number.get(to)) for d, p, to in arms[node]
+        )
         # the space has a rim of one cell
         xy = grid.points(graph.xy[node][::-1] / grid.resolution - 1)
         found.append(Place(type_, xy, graph.clearance[node], ours))

@@ -1,7 +1,7 @@
 """A vector plan's corridors as a grid: which space is corridor, and lines along its middle.
 
-Rooms are spaces of their own behind closed doors, and corridors are the long ones that most doors open to. Doors between
-two corridors stand open. What is no corridor is left unknown, as a robot that keeps to the corridors leaves it.
+Rooms are spaces of their own behind closed doors, and corridors are the long ones that most doors open to. Doors
+between two corridors stand open. What is no corridor is left unknown, as a robot that keeps to the corridors leaves it.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _normal(door: Array) -> Array:
     return np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
 
 
-def _sides(plan: Grid, parts: NDArray[np.int32], doors: Array, outside: int) -> list[tuple[int, int]]:
+def _sides(plan: Grid, parts: NDArray[np.signedinteger], doors: Array, outside: int) -> list[tuple[int, int]]:
     """The spaces (numbers in ``parts``) before and behind each door; 0 where there is none."""
     sizes = np.bincount(parts.ravel()) * plan.resolution**2
     sizes[[0, outside]] = 0.0
@@ -115,7 +115,7 @@ def _sides(plan: Grid, parts: NDArray[np.int32], doors: Array, outside: int) -> 
     return found
 
 
-def _corridors(parts: NDArray[np.int32], count: int, sides: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+def _corridors(parts: NDArray[np.signedinteger], count: int, sides: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
     """Which spaces are corridors: the busiest one, and what doors join to it that is busy and long enough."""
     from scipy.ndimage import find_objects
 

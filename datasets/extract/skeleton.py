@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(eq=False, slots=True)
 class Way:
-    """A way from node ``start`` to node ``end``: ``points`` (k, 2) [m], ``clearance`` and ``to_wall`` (k,) [m] along it."""
+    """A way from node ``start`` to node ``end``: ``points`` (k, 2), ``clearance`` and ``to_wall`` (k,) [m]."""
 
     start: int
     end: int

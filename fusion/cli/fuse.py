@@ -36,7 +36,8 @@ def fuse_files(
         Path | None, typer.Option("--map", help="The merged map as a map again, OUT.map.json.")
     ] = None,
     grid: Annotated[
-        Path | None, typer.Option("--grid", metavar="OUT.yaml", help="The grids among the maps as one, with its picture.")
+        Path | None,
+        typer.Option("--grid", metavar="OUT.yaml", help="The grids among the maps in one; its picture beside it."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result file on standard output.")] = False,
     no_embed: Annotated[bool, typer.Option("--no-embed", help="Leave the input maps out of the result file.")] = False,
@@ -63,7 +64,9 @@ def fuse_files(
     """
     check_picture("--plot", plot)
     grids.check_output(grid, maps)
-    check_outputs({"-o": output, "--plot": plot, "--map": merged_map, "--grid": grid}, [*maps, *([config] if config else [])])
+    check_outputs(
+        {"-o": output, "--plot": plot, "--map": merged_map, "--grid": grid}, [*maps, *([config] if config else [])]
+    )
     warn_on_stderr()
     settings = _settings(config, accept, overlap_prior, mode)
     recorded = anymap.read_maps(maps, anymap.options(given or []))

