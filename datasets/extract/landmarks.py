@@ -2,7 +2,7 @@
 
 What such an extraction is known to be was measured where nothing judges it: Willow Garage's grid against itself turned
 by random angles, and two grids of one care home made in different years (STRANDS), of which no test knows. The command
-for it is ``benchmarks/extraction.py --repeatability``, and docs/extraction.md has the table.
+for it is ``benchmarks/extraction.py repeatability``, and docs/extraction.md has the table.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ import numpy as np
 
 from mapfuse.datasets import validate
 from mapfuse.datasets.extract import FREE, OCCUPIED, UNKNOWN, map_of_floor
-from mapfuse.datasets.extract.planmap import polylines
 from mapfuse.datasets.extract.plangrid import plan_grid, plan_lines
+from mapfuse.datasets.extract.planmap import polylines
 from mapfuse.datasets.simulation import make_building
 
 NO_LEAVES = np.zeros((0, 2, 2)), np.zeros(0, dtype=np.intp)
