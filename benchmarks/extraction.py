@@ -50,8 +50,8 @@ def halves_row(grid: Grid, seed: int) -> tuple[str, str, float, float]:
         metres = float(np.hypot(off[:, 0], off[:, 1]).mean())
         degrees = float(np.rad2deg(abs(se2.wrap(found[2] - truth[2]))))
     text = (
-        f"| {seed} | {len(map1)}, {len(map2)} | {fused.decision} | {pair.probability:.4f} | {len(pair.correspondences)} "
-        f"| {metres:.3f} | {degrees:.2f} | {seconds[0]:.1f} | {seconds[1]:.1f} |"
+        f"| {seed} | {len(map1)}, {len(map2)} | {fused.decision} | {pair.probability:.4f} "
+        f"| {len(pair.correspondences)} | {metres:.3f} | {degrees:.2f} | {seconds[0]:.1f} | {seconds[1]:.1f} |"
     )
     return text, fused.decision, metres, degrees
 
