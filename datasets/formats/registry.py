@@ -111,6 +111,13 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("nav2", "Nav2 Route Server graph", (".geojson", ".nav2.geojson"), "nav2", writes=True, lost=_GRAPH_LOSES),
     Format(
+        "plan",
+        "vector plan of a floor (GeoJSON)",
+        (".geojson",),
+        "geojson_plan",
+        options={"corridors": "a second file of the same floor, that has its corridors"},
+    ),
+    Format(
         "mrclam",
         "MRCLAM folder",
         ("a folder",),
@@ -134,6 +141,20 @@ FORMATS: tuple[Format, ...] = (
         extra="rosbag",
     ),
     Format("graphnav", "GraphNav map of Spot", ("graph", "a folder"), "graphnav", extra="graphnav"),
+    Format(
+        "ros_map",
+        "occupancy grid of ROS' map_server",
+        (".yaml", ".pgm"),
+        "ros_map",
+        options={
+            "cell_m": "finer grids are looked at with cells of this size [m]",
+            "furniture_m": "what stands alone and is no larger divides no space [m]",
+            "passage_m": "narrower gaps are no way [m]",
+            "widest_m": "wider spaces are no corridors [m]",
+            "looks": "how often landmarks are looked for, each time with the grid turned",
+            "agreement": "share of looks that must find a landmark",
+        },
+    ),
     Format("rmf", "Open-RMF building", (".building.yaml",), "rmf", several=True),
     Format(
         "tmap2",

@@ -87,6 +87,17 @@ def read_one(
     return reading.maps[0]
 
 
+def is_plan(path: Path) -> bool:
+    """Whether a file holds the plan of a building."""
+    from mapfuse.datasets.errors import MapfuseError
+    from mapfuse.datasets.formats import format_of
+
+    try:
+        return format_of(path).name == "plan"
+    except MapfuseError:
+        return False  # the readers say what is wrong
+
+
 def fused_in(path: Path) -> FusedMap | None:
     """The result in a file, or None where it holds something else, or nothing that can be read."""
     import msgspec

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import anymap
+from . import anymap, grids
 from .console import (
     Quiet,
     UsageError,
@@ -51,6 +51,10 @@ def fuse_files(
     ] = None,
     merged_map: Annotated[
         Path | None, typer.Option("--map", help="The merged map as a map again, OUT.map.json.")
+    ] = None,
+    grid: Annotated[
+        Path | None,
+        typer.Option("--grid", metavar="OUT.yaml", help="The grids among the maps in one; its picture beside it."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result file on standard output.")] = False,
     no_embed: Annotated[bool, typer.Option("--no-embed", help="Leave the input maps out of the result file.")] = False,
@@ -95,7 +99,8 @@ def fuse_files(
     """
     check_picture("--plot", plot)
     check_page("--report", report)
-    outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map}
+    grids.check_output(grid, maps)
+    outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map, "--grid": grid}
     check_outputs(outputs, [*maps, *([config] if config else [])])
     warn_on_stderr(verbose=verbose)
     settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise)
@@ -112,6 +117,8 @@ def fuse_files(
     with stages("fusing", quiet=quiet):
         fused = fuse(recorded, settings, _known(near or []))
     _write(fused, outputs, as_json=as_json, embed=not no_embed, quiet=quiet)
+    if grid is not None:
+        grids.write_merged(fused, maps, grid, quiet=quiet or as_json)
     if require_merge and fused.decision != "merged":
         raise typer.Exit(3)
 

@@ -67,7 +67,7 @@ def show(
     verbose: Verbose = False,
 ) -> None:
     """Draw a recorded map, a fused map, a building, or a log with its truth where that stands beside it."""
-    told = anymap.options(given or [])
+    told = anymap.options(given or []) | ({"corridors": str(corridors)} if corridors else {})
     if html and solid:
         raise UsageError("--html and --3d: give one of them")
     if solid:
@@ -85,10 +85,10 @@ def show(
         if pair:
             raise UsageError("--pair: a log has no pairs of maps")
         if told:
-            raise UsageError(f"--set: is for maps of other formats, and {file} is a log")
+            raise UsageError(f"{file}: is a log, and --set and --corridors are for maps of other formats")
         said = _show_log(file, target, html=html)
     else:
-        said = _show_document(file, target, pair, corridors, told, html=html, quiet=quiet)
+        said = _show_document(file, target, pair, told, html=html, quiet=quiet)
     if not quiet:
         say(said)
         say(f"wrote {target}")
@@ -98,7 +98,6 @@ def _show_document(
     file: Path,
     target: Path,
     pair: tuple[str, str] | None,
-    corridors: Path | None,
     told: dict[str, str],
     *,
     html: bool,
@@ -106,25 +105,13 @@ def _show_document(
 ) -> str:
     if (fused := anymap.fused_in(file)) is not None:
         if told:
-            raise UsageError(f"--set: is for maps of other formats, and {file} is a result")
+            raise UsageError(f"{file}: is a result, and --set and --corridors are for maps of other formats")
         return _show_fused(fused, target, pair, html=html)
     if pair:
         raise UsageError(f"--pair: {file} is no fused map")
-    if corridors is not None or _is_plan(file):
-        return _show_plan(file, target, corridors, html=html)
+    if not html and anymap.is_plan(file):
+        return _show_plan(file, target, told)
     return _show_map(anymap.read_one(file, told, quiet=quiet), target, html=html)
-
-
-def _is_plan(file: Path) -> bool:
-    """Whether a file holds a building's plan: GeoJSON that is nobody's map."""
-    from mapfuse.datasets.errors import MapfuseError
-    from mapfuse.datasets.formats import format_of
-
-    try:
-        format_of(file)
-    except MapfuseError:
-        return file.suffix.lower() == ".geojson"
-    return False
 
 
 def _show_fused(fused: FusedMap, target: Path, pair: tuple[str, str] | None, *, html: bool) -> str:
@@ -160,13 +147,13 @@ def _show_map(map_: LandmarkMap, target: Path, *, html: bool) -> str:
     return f"{map_.name}: {len(map_)} landmarks"
 
 
-def _show_plan(file: Path, target: Path, corridors: Path | None, *, html: bool) -> str:
+def _show_plan(file: Path, target: Path, told: dict[str, str]) -> str:
     from mapfuse.datasets.simulation import building_from_plan
     from mapfuse.fusion.show import draw_building
 
-    if html:
-        raise UsageError("--html: a building has no page; give -o OUT.png, .svg or .pdf")
-    building = building_from_plan(file, corridors)
+    if others := [key for key in told if key != "corridors"]:
+        raise UsageError(f"--set {others[0]}: is not drawn; of a plan only the corridors are asked for")
+    building = building_from_plan(file, told.get("corridors"))
     with writing(target):
         draw_building(building, (), target, title=f"{building.name}: the plan of a building")
     return f"{building.name}: {len(building.floor.places)} landmarks, {len(building.walls)} walls"
