@@ -18,13 +18,22 @@ def progress(label: str, total: float | None = None) -> Iterator[Callable[[float
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
         return
+    from rich import progress as rp
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=total)
-        yield lambda done: bar.advance(task, done)
+    columns: list[rp.ProgressColumn] = [rp.TextColumn("{task.description}", markup=False), rp.BarColumn()]
+    columns += [rp.MofNCompleteColumn(), rp.TimeElapsedColumn()]
+    if total is not None:
+        columns += [rp.TextColumn("{task.fields[rate]}", markup=False), rp.TimeRemainingColumn()]
+    with rp.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=total, rate="")
+
+        def advance(done: float) -> None:
+            bar.advance(task, done)
+            speed = bar.tasks[task].finished_speed or bar.tasks[task].speed
+            bar.update(task, rate=f"{speed:.3g}/s" if speed else "")
+
+        yield advance
 
 
 def watched(items: Iterable[Item], label: str, total: float | None = None) -> Iterator[Item]:
