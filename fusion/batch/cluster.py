@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError
 from contextlib import ExitStack
 from importlib.metadata import version
@@ -11,7 +11,7 @@ from typing import Any
 
 from mapfuse.datasets.errors import MapfuseError
 
-from .engine import KILLED, Job, Task, attempt
+from .engine import KILLED, TRIES, Job, Task, attempt
 from .ledger import Done
 
 #: Jobs on their way per thread of the cluster: one at work, one waiting beside it.
@@ -32,6 +32,13 @@ class DaskEngine:
         except ImportError:
             raise MapfuseError("dask.distributed isn't installed: it comes with mapfuse's extra [batch]") from None
         self.address, self.count = address, count
+        self._open = ExitStack()
+        self._client: Any = None
+
+    def close(self) -> None:
+        """Leave the cluster; one of our own ends."""
+        self._client = None
+        self._open.close()
 
     def run(self, task: Task, jobs: Iterable[Job]) -> Generator[tuple[str, Done], None, None]:
         """Outcomes by key, as they come.
@@ -41,38 +48,39 @@ class DaskEngine:
         from distributed import as_completed
 
         coming = iter(jobs)
-        with ExitStack() as stack:
-            client = self._client(stack)
-            room = AHEAD * max(1, sum(client.nthreads().values()))
-            flying = as_completed()
-            try:
-                for job in _first(coming, room):
+        client = self._connected()
+        room = AHEAD * max(1, sum(client.nthreads().values()))
+        flying = as_completed()
+        try:
+            for job in islice(coming, room):
+                flying.add(_submitted(client, task, job))
+            for future in flying:
+                key, done = str(future.key), _outcome(future)
+                future.release()
+                for job in islice(coming, 1):
                     flying.add(_submitted(client, task, job))
-                for future in flying:
-                    key, done = str(future.key), _outcome(future)
-                    future.release()
-                    for job in _first(coming, 1):
-                        flying.add(_submitted(client, task, job))
-                    yield key, done
-            except (CancelledError, OSError) as error:
-                raise MapfuseError(f"the scheduler was lost: {error}; what is done is kept, start again") from error
+                yield key, done
+        except (CancelledError, OSError) as error:
+            raise MapfuseError(f"the scheduler was lost: {error}; what is done is kept, start again") from error
 
-    def _client(self, stack: ExitStack) -> Any:
+    def _connected(self) -> Any:
+        if self._client is not None:
+            return self._client
         import dask
         from distributed import Client, LocalCluster
 
-        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 1}))
+        self._open.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": TRIES - 1}))
         address = self.address
         if address is None:
             cluster = LocalCluster(n_workers=self.count, threads_per_worker=1, dashboard_address=None)
-            address = stack.enter_context(cluster).scheduler_address
+            address = self._open.enter_context(cluster).scheduler_address
         try:
-            client = stack.enter_context(Client(address, timeout=PATIENCE))
-            client.wait_for_workers(1, timeout=PATIENCE)
+            self._client = self._open.enter_context(Client(address, timeout=PATIENCE))
+            self._client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, ValueError, TimeoutError) as error:
             raise MapfuseError(f"no scheduler with workers answers at {address}: {error}") from error
-        _check_versions(client)
-        return client
+        _check_versions(self._client)
+        return self._client
 
 
 def _version() -> str:
@@ -86,10 +94,6 @@ def _check_versions(client: Any) -> None:
         raise MapfuseError(f"the workers can't run mapfuse: {type(error).__name__}: {error}") from error
     if found != {_version()}:
         raise MapfuseError(f"the workers have mapfuse {', '.join(sorted(found))}; this is {_version()}")
-
-
-def _first(coming: Iterator[Job], count: int) -> list[Job]:
-    return list(islice(coming, count))
 
 
 def _submitted(client: Any, task: Task, job: Job) -> Any:

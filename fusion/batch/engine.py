@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -49,6 +50,9 @@ class Engine(Protocol):
     def run(self, task: Task, jobs: Iterable[Job]) -> Generator[tuple[str, Done], None, None]:
         """Outcomes by key; ``jobs`` is read as workers get free."""
 
+    def close(self) -> None:
+        """Let go of workers that wait for more."""
+
 
 def attempt(task: Task, data: bytes) -> Done:
     """Do one job; what goes wrong is the outcome."""
@@ -62,12 +66,13 @@ def attempt(task: Task, data: bytes) -> Done:
     return Done(result, error, perf_counter() - begin)
 
 
-def _work(task: Task, pipe: Connection) -> None:
+def _work(pipe: Connection) -> None:
     """A worker's life: until the pipe closes, or the client is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the client alone answers an interrupt
     try:
         while True:
-            done = attempt(task, pipe.recv_bytes())
+            module, name, data = msgspec.msgpack.decode(pipe.recv_bytes())
+            done = attempt(getattr(import_module(module), name), data)
             pipe.send_bytes(msgspec.msgpack.encode((done.result, done.error, done.seconds)))
     except (EOFError, OSError):
         return
@@ -87,31 +92,26 @@ class _Worker:
 
 
 class LocalEngine:
-    """``count`` worker processes on this machine, started for each `run` and gone after it."""
+    """Up to ``count`` worker processes on this machine; they wait for more until the engine is closed."""
 
     def __init__(self, count: int) -> None:
         self.count = count
+        self._workers: list[_Worker] = []
+
+    def close(self) -> None:
+        """Let all workers go."""
+        while self._workers:
+            self._workers.pop().stop()
 
     def run(self, task: Task, jobs: Iterable[Job]) -> Generator[tuple[str, Done], None, None]:
-        """Outcomes by key, as they come."""
+        """Outcomes by key, as they come. Left before its end, it lets all workers go."""
         coming = iter(jobs)
         again: deque[Job] = deque()
         tried: dict[str, int] = {}
-        workers: list[_Worker] = []
-
-        def next_job() -> Job | None:
-            return again.popleft() if again else next(coming, None)
-
         try:
             while True:
-                for worker in [w for w in workers if w.job is None]:
-                    if (job := next_job()) is None:
-                        break
-                    _give(worker, job)
-                while len(workers) < self.count and (job := next_job()) is not None:
-                    workers.append(_started(task))
-                    _give(workers[-1], job)
-                busy = {w.pipe: w for w in workers if w.job is not None}
+                self._give_out(task, again, coming)
+                busy = {w.pipe: w for w in self._workers if w.job is not None}
                 if not busy:
                     return
                 for pipe in wait(list(busy)):
@@ -120,7 +120,7 @@ class LocalEngine:
                     assert job is not None
                     done = _answer(worker)
                     if done is None:
-                        workers.remove(worker)
+                        self._workers.remove(worker)
                         worker.stop()
                         tried[job.key] = tried.get(job.key, 0) + 1
                         if tried[job.key] < TRIES:
@@ -129,14 +129,26 @@ class LocalEngine:
                         done = Done(None, KILLED, 0.0)
                     yield job.key, done
         finally:
-            for worker in workers:
-                worker.stop()
+            if any(worker.job is not None for worker in self._workers):
+                self.close()
+
+    def _give_out(self, task: Task, again: deque[Job], coming: Iterator[Job]) -> None:
+        """A job to every worker that has none, and to new ones up to the count."""
+        idle = [worker for worker in self._workers if worker.job is None]
+        while idle or len(self._workers) < self.count:
+            job = again.popleft() if again else next(coming, None)
+            if job is None:
+                return
+            if not idle:
+                self._workers.append(_started())
+                idle.append(self._workers[-1])
+            _give(idle.pop(), task, job)
 
 
-def _give(worker: _Worker, job: Job) -> None:
+def _give(worker: _Worker, task: Task, job: Job) -> None:
     worker.job = job
     try:
-        worker.pipe.send_bytes(job.data)
+        worker.pipe.send_bytes(msgspec.msgpack.encode((task.__module__, task.__qualname__, job.data)))
     except OSError:  # it has died: its pipe says so when it is waited for
         return
 
@@ -149,10 +161,10 @@ def _answer(worker: _Worker) -> Done | None:
         return None
 
 
-def _started(task: Task) -> _Worker:
+def _started() -> _Worker:
     context = get_context("spawn")
     here, there = context.Pipe()
-    process = context.Process(target=_work, args=(task, there), daemon=True)
+    process = context.Process(target=_work, args=(there,), daemon=True)
     with _one_thread():
         process.start()
     there.close()

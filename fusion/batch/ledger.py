@@ -241,6 +241,7 @@ def _right(table: str, row: tuple[object, ...]) -> bool:
 
 def _take_over(db: sqlite3.Connection, torn: Path) -> None:
     """Copy what can be read, from the front and from the back."""
+    _fill_up(torn)
     try:
         old = sqlite3.connect(torn)
         with db:
@@ -252,3 +253,12 @@ def _take_over(db: sqlite3.Connection, torn: Path) -> None:
         old.close()
     except sqlite3.DatabaseError:  # nothing of it is a database any more
         return
+
+
+def _fill_up(torn: Path) -> None:
+    """Empty pages for those that a shortened file lacks: without them SQLite reads none of the others."""
+    with torn.open("r+b") as file:
+        head = file.read(100)
+        size, pages = int.from_bytes(head[16:18]), int.from_bytes(head[28:32])
+        if head.startswith(b"SQLite format 3\0") and file.seek(0, 2) < size * pages:
+            file.truncate(size * pages)

@@ -23,7 +23,15 @@ from ..pairwise import Candidate, Comparison
 from ..result import PairDecision
 
 Array = NDArray[np.float64]
-_pack = msgspec.msgpack.Encoder().encode
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is never packed")
+
+
+_pack = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _unpack = msgspec.msgpack.Decoder().decode
 
 

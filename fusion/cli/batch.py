@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,7 +71,8 @@ def batch(
         settings = config_from_toml(config)
     from .progress import progress
 
-    summary = run_batch(folder, run, settings, _engine(jobs, scheduler), without=without or (), watch=progress)
+    with closing(_engine(jobs, scheduler)) as engine:
+        summary = run_batch(folder, run, settings, engine, without=without or (), watch=progress)
     _report(summary, run)
     if strict and not summary.flawless:
         raise typer.Exit(2)

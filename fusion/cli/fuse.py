@@ -25,7 +25,12 @@ class Mode(StrEnum):
 
 
 def fuse_files(
-    maps: Annotated[list[Path], typer.Argument(help="Recorded maps (NAME.map.json).", metavar="MAP")],
+    maps: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Recorded maps (NAME.map.json), or results (NAME.fused.json), for the maps in them.", metavar="MAP"
+        ),
+    ],
     *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The result, OUT.fused.json.", show_default=False)
@@ -36,6 +41,9 @@ def fuse_files(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result file on standard output.")] = False,
     no_embed: Annotated[bool, typer.Option("--no-embed", help="Leave the input maps out of the result file.")] = False,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", metavar="NAME", help="Leave out the map of this name; repeatable.")
+    ] = None,
     require_merge: Annotated[
         bool, typer.Option("--require-merge", help="Exit with 3 where not all maps were merged.")
     ] = False,
@@ -56,13 +64,13 @@ def fuse_files(
 
     Exit code 0 whatever was decided: "no overlap" is an answer.
     """
-    if len(maps) < 2:
+    if len(maps) < 2 and not _is_result(maps[0]):
         raise UsageError("give at least two maps to fuse")
     check_picture("--plot", plot)
     check_outputs({"-o": output, "--plot": plot, "--map": merged_map}, [*maps, *([config] if config else [])])
     warn_on_stderr()
     settings = _settings(config, accept, overlap_prior, mode)
-    recorded = read_maps(maps)
+    recorded = _left(read_maps(maps), without or ())
 
     from mapfuse.fusion import fuse
 
@@ -89,29 +97,58 @@ def _settings(config: Path | None, accept: float | None, overlap_prior: float | 
     return settings
 
 
+def _left(maps: Sequence[LandmarkMap], without: Sequence[str]) -> list[LandmarkMap]:
+    """The maps that are not left out; raises `UsageError` for a name that none has, and where none is left."""
+    names = [m.name for m in maps]
+    if unknown := [name for name in without if name not in names]:
+        raise UsageError(f"--without {unknown[0]}: there is no such map; there are {', '.join(names)}")
+    left = [m for m in maps if m.name not in without]
+    if not left:
+        raise UsageError("--without leaves no map")
+    return left
+
+
+def _is_result(path: Path) -> bool:
+    return path.name.endswith(".fused.json")
+
+
+def _maps_in(path: Path) -> list[LandmarkMap]:
+    """The map of a file, or all maps that were fused into a result."""
+    from mapfuse.datasets import read_map
+    from mapfuse.datasets.errors import InputError
+
+    if not _is_result(path):
+        return [read_map(path)]
+    from mapfuse.fusion import read_fused
+
+    fused = read_fused(path)
+    if missing := [name for name in fused.maps if name not in fused.sources]:
+        raise InputError(path, f"doesn't carry the map {missing[0]!r} (it was written with --no-embed)")
+    return [fused.sources[name] for name in fused.maps]
+
+
 def read_maps(paths: Sequence[Path]) -> list[LandmarkMap]:
     """Read maps; raises `UsageError` with the errors of all files, or where two maps have one name."""
-    from mapfuse.datasets import read_map
     from mapfuse.datasets.errors import MapfuseError
 
-    maps: list[LandmarkMap] = []
+    maps: list[tuple[Path, LandmarkMap]] = []
     wrong: list[str] = []
     for path in paths:
         try:
-            maps.append(read_map(path))
+            maps += [(path, m) for m in _maps_in(path)]
         except MapfuseError as error:
             wrong.append(str(error))
     if wrong:
         raise UsageError("\n".join(wrong))
     path_from_name: dict[str, Path] = {}
-    for path, map_ in zip(paths, maps, strict=True):
+    for path, map_ in maps:
         if map_.name in path_from_name:
             raise UsageError(
                 f"{path_from_name[map_.name]} and {path}: both maps are named {map_.name!r}; "
                 "names tell maps apart, so give them different ones"
             )
         path_from_name[map_.name] = path
-    return maps
+    return [m for _, m in maps]
 
 
 def _write(
