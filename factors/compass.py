@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mapfuse.datasets import arms, se2
+from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 
 from .axes import wrapped
-from .heading import arms_variance, headings_of
-from .keys import CompassKey, LandmarkKey, NorthKey, Unknown
+from .heading import arms_variance, headings_of, signatures_of
+from .keys import CompassKey, NorthKey, Unknown, map_keys
 from .measurement import Array, Between, Poses, Prior
 from .noise import LOOSE_ROTATION, STEEL, PoseNoise
 
@@ -45,8 +45,11 @@ class NorthPrior(Prior):
 
 def compass_readings(recorded: LandmarkMap, r: int) -> Iterator[CompassReading]:
     """All compass readings of arms whose heading is known, by landmark id."""
-    for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
-        h = headings_of(recorded)[landmark.id] or 0.0
+    keys, headings = map_keys(recorded, r), headings_of(recorded)
+    if keys.compass is None:
+        return
+    for identifier, key in keys.landmarks.items():
+        landmark, h = recorded[identifier], headings[identifier] or 0.0
         noise = PoseNoise.from_sigmas(np.inf, np.inf, _reading_sigma(recorded, landmark))
         seen = sorted(
             wrapped(link.compass - (link.heading - h))
@@ -54,7 +57,7 @@ def compass_readings(recorded: LandmarkMap, r: int) -> Iterator[CompassReading]:
             if link.compass is not None and link.heading is not None
         )
         for theta in seen:
-            yield CompassReading(CompassKey(r), LandmarkKey(r, landmark.id), (0.0, 0.0, theta), noise, STEEL)
+            yield CompassReading(keys.compass, key, (0.0, 0.0, theta), noise, STEEL)
 
 
 def _reading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
@@ -64,7 +67,11 @@ def _reading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
     only such arms, both halves of their error count.
     """
     noise = recorded.noise
-    own = arms_variance(recorded, landmark, 1) if arms.signature(landmark).headings else noise.heading_sigma**2
+    own = (
+        arms_variance(recorded, landmark, 1)
+        if signatures_of(recorded)[landmark.id].headings
+        else noise.heading_sigma**2
+    )
     return float(np.sqrt(noise.compass_sigma**2 + own))
 
 

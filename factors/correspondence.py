@@ -10,7 +10,7 @@ from mapfuse.datasets import arms
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 
 from .axes import wrapped
-from .heading import arms_variance, headings_of
+from .heading import arms_variance, headings_of, signatures_of
 from .keys import LandmarkKey
 from .measurement import Between
 from .noise import Loss, PoseNoise
@@ -57,7 +57,7 @@ def arm_turn(
     h1, h2 = headings_of(map1)[landmark1.id], headings_of(map2)[landmark2.id]
     if h1 is None or h2 is None:
         return None
-    arms1, arms2 = arms.signature(landmark1), arms.signature(landmark2)
+    arms1, arms2 = signatures_of(map1)[landmark1.id], signatures_of(map2)[landmark2.id]
     if not arms1.headings and not arms2.headings:
         return 0.0, 0.0
     met = _one_to_one(arms1, arms2, rotation)

@@ -14,7 +14,7 @@ from mapfuse.datasets.maps import Landmark, LandmarkMap
 
 from .axes import point_to_body, wrapped
 from .heading import headings_of
-from .keys import FrameKey, LandmarkKey
+from .keys import FrameKey, map_keys
 from .link import travelled_links
 from .measurement import Between, Prior, Triple
 from .noise import LOOSE_POSITION, LOOSE_ROTATION, TIGHT, PoseNoise
@@ -96,6 +96,9 @@ def nearest_to_start(recorded: LandmarkMap, ids: Iterable[str]) -> Landmark:
     Of several at the same distance (to a micrometre) the one seen most often, with most links, first
     counter-clockwise from the start's heading, and only then the first by id.
     """
+    ids = tuple(ids)
+    if len(ids) == 1:
+        return recorded[ids[0]]
     x, y, theta = recorded.start
 
     def rank(landmark: Landmark) -> tuple[float, int, int, float, str]:
@@ -110,12 +113,12 @@ def nearest_to_start(recorded: LandmarkMap, ids: Iterable[str]) -> Landmark:
 def anchor(recorded: LandmarkMap, r: int, landmark: Landmark) -> FrameAnchor:
     """The recorded position of a landmark, with its own covariance where it has one, else ``position_sigma``."""
     h = headings_of(recorded)[landmark.id] or 0.0
-    position = (
-        recorded.noise.position_sigma**2 * np.eye(2) if landmark.covariance is None else landmark.covariance[:2, :2]
-    )
-    noise = PoseNoise.from_covariance(point_to_body(h, position), LOOSE_ROTATION)
-    measured = (landmark.x, landmark.y, wrapped(h))
-    return FrameAnchor(FrameKey(r), LandmarkKey(r, landmark.id), measured, noise)
+    sigma, keys = recorded.noise.position_sigma, map_keys(recorded, r)
+    if landmark.covariance is None:
+        noise = PoseNoise.from_sigmas(sigma, sigma, LOOSE_ROTATION)
+    else:
+        noise = PoseNoise.from_covariance(point_to_body(h, landmark.covariance[:2, :2]), LOOSE_ROTATION)
+    return FrameAnchor(keys.frame, keys.landmarks[landmark.id], (landmark.x, landmark.y, wrapped(h)), noise)
 
 
 def frame_anchors(recorded: LandmarkMap, r: int, explained: frozenset[str] = frozenset()) -> Iterator[FrameAnchor]:

@@ -6,9 +6,10 @@ it is numpy. Maps can be any number; the merged frame is the frame of the refere
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 import gtsam
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapfuse.datasets import errors, se2
-from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets.maps import Landmark, LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from .compass import CompassReading, compass_readings, north_measurements
@@ -24,7 +25,7 @@ from .correspondence import Correspondence, correspondence
 from .frame import Gauge, TransformPrior, centre_of, frame_anchors, pose_triple
 from .heading import heading_measurements, headings_of
 from .joint import joint_measurement
-from .keys import ByIdentity, FrameKey, KeyBook, LandmarkKey, Unknown
+from .keys import ByIdentity, FrameKey, KeyBook, LandmarkKey, Unknown, map_keys
 from .link import link_measurements
 from .measurement import Measurement, Poses
 from .noise import DOUBT, Loss, floored_eigen
@@ -60,15 +61,16 @@ class Problem:
         Raises `UndeterminedError` naming the landmarks that no measurement mentions: GTSAM would leave them where
         they are in silence.
         """
-        mentioned = {unknown for measurement in self.measurements for unknown in measurement.unknowns}
-        silent = [unknown for unknown in self.keys if unknown not in mentioned]
-        if silent:
+        graph, kept = gtsam.NonlinearFactorGraph(), [_map_terms(recorded, r) for r, recorded in enumerate(self.maps)]
+        made = {number: factor for terms in kept for number, factor in terms.factors.items()}
+        for measurement in self.measurements:
+            graph.add(made.get(id(measurement)) or measurement.factor(self.keys))
+        mentioned = set(graph.keyVector())
+        if len(mentioned) < len(self.keys):
+            silent = [unknown for unknown in self.keys if self.keys.key(unknown) not in mentioned]
             landmarks = tuple((self.maps[u.map].name, u.id) for u in silent if isinstance(u, LandmarkKey))
             names = "" if landmarks else f" ({', '.join(self.keys.name(self.keys.key(u)) for u in silent)})"
             raise errors.UndeterminedError(f"no measurement says anything of these{names}", landmarks)
-        graph = gtsam.NonlinearFactorGraph()
-        for measurement in self.measurements:
-            graph.add(measurement.factor(self.keys))
         return graph
 
     def values(self, poses: Poses | None = None) -> Any:
@@ -77,19 +79,20 @@ class Problem:
         Raises `MapfuseError` for a pose that is not finite; KeyError where one is missing.
         """
         poses = self.initial if poses is None else poses
+        unknowns = self.keys.in_order
+        rows = np.array([poses[unknown] for unknown in unknowns])
+        finite = np.isfinite(rows).all(axis=1)
+        if not finite.all():
+            name = self.keys.name(self.keys.key(unknowns[int(np.argmin(finite))]))
+            raise errors.MapfuseError(f"the starting value of {name} is not finite")
         values = gtsam.Values()
-        for unknown in self.keys:
-            pose = poses[unknown]
-            if not np.isfinite(pose).all():
-                name = self.keys.name(self.keys.key(unknown))
-                raise errors.MapfuseError(f"the starting value of {name} is not finite")
-            values.insert(self.keys.key(unknown), gtsam.Pose2(*pose))
+        for key, (x, y, theta) in zip(self.keys.keys(unknowns), rows.tolist(), strict=True):
+            values.insert(key, gtsam.Pose2(x, y, theta))
         return values
 
     def poses(self, values: Any) -> dict[Unknown, Array]:
         """Poses (3,) of all unknowns out of ``gtsam.Values``, as a solver returns them."""
-        found = ((unknown, values.atPose2(self.keys.key(unknown))) for unknown in self.keys)
-        return {unknown: np.array([pose.x(), pose.y(), pose.theta()]) for unknown, pose in found}
+        return dict(zip(self.keys.in_order, gtsam.utilities.extractPose2(values), strict=True))
 
     def error(self, poses: Poses | None = None) -> float:
         """Sum of all errors in numpy [nats]; equals ``graph().error(values(poses))``."""
@@ -148,7 +151,8 @@ def build_problem(
         own = map_measurements(recorded, r)
         measurements += [Gauge.held(r, T) if r == reference else TransformPrior.weak(r, T, centre_of(recorded)), *own]
         placed = se2.compose(T, _starting_poses(recorded, start))
-        initial |= {LandmarkKey(r, name): pose for name, pose in zip(recorded.ids, placed, strict=True)}
+        keys = map_keys(recorded, r).landmarks
+        initial |= {keys[name]: pose for name, pose in zip(recorded.ids, placed, strict=True)}
     readings = [m for m in measurements if isinstance(m, CompassReading)]
     north, directions = north_measurements(maps, readings, initial)
     measurements += [*north, *_correspondences(maps, initial, matches, loss)]
@@ -182,18 +186,40 @@ def map_measurements(recorded: LandmarkMap, r: int) -> tuple[Measurement, ...]:
     Kept for the maps used last, since it is the same under every hypothesis. Raises `MapError` for numbers that are
     not finite, duplicate ids, links to landmarks that the map doesn't have, and covariances that are none.
     """
-    return _map_measurements(ByIdentity(recorded), r)
+    return _map_terms(recorded, r).measurements
+
+
+class _MapTerms:
+    """What a map measures, and the GTSAM factor of each measurement by its identity: these live as long as this."""
+
+    def __init__(self, recorded: LandmarkMap, r: int) -> None:
+        self.measurements = _measured(recorded, r)
+        self._maps = r * [LandmarkMap("")] + [recorded]
+
+    @cached_property
+    def factors(self) -> Mapping[int, Any]:
+        keys = KeyBook(self._maps)
+        return {id(measurement): measurement.factor(keys) for measurement in self.measurements}
+
+
+def _map_terms(recorded: LandmarkMap, r: int) -> _MapTerms:
+    return _kept_terms(ByIdentity(recorded), r)
 
 
 @lru_cache(maxsize=64)
-def _map_measurements(cached: ByIdentity, r: int) -> tuple[Measurement, ...]:
-    recorded = cached.recorded
+def _kept_terms(cached: ByIdentity, r: int) -> _MapTerms:
+    return _MapTerms(cached.recorded, r)
+
+
+def _measured(recorded: LandmarkMap, r: int) -> tuple[Measurement, ...]:
     _check_map(recorded)
     joint = joint_measurement(recorded, r)
     placed = frozenset(recorded.joint_covariance.order if recorded.joint_covariance else ())
     turned = placed if recorded.joint_covariance and recorded.joint_covariance.rows == 3 else frozenset()
-    joined = {LandmarkKey(r, name) for name in placed}
-    links = [m for m in link_measurements(recorded, r) if not joined.issuperset(m.unknowns)]
+    links = list(link_measurements(recorded, r))
+    if placed:
+        joined = {LandmarkKey(r, name) for name in placed}
+        links = [m for m in links if not joined.issuperset(m.unknowns)]
     return (
         *frame_anchors(recorded, r, explained=placed),
         *heading_measurements(recorded, r, known=turned),
@@ -212,6 +238,8 @@ def _check_map(recorded: LandmarkMap) -> None:
     if len(set(recorded.ids)) < len(recorded):
         broken.append(errors.Problem("landmarks", "two landmarks have the same id"))
     for k, landmark in enumerate(recorded.landmarks):
+        if _is_finite(landmark):
+            continue
         numbers = {"x": landmark.x, "y": landmark.y, "heading": landmark.heading}
         for j, link in enumerate(landmark.links):
             at = f"links[{j}]."
@@ -229,6 +257,20 @@ def _check_map(recorded: LandmarkMap) -> None:
         broken.append(errors.Problem("noise.compass_offset_sigma", "must be a finite number, not negative, or null"))
     if broken:
         raise errors.MapError(recorded.name, tuple(broken))
+
+
+def _is_finite(landmark: Landmark) -> bool:
+    """Whether all numbers are finite and distances not negative: most are, and listing them all takes long."""
+    if landmark.covariance is not None:
+        return False
+    total = landmark.x + landmark.y + (landmark.heading or 0.0)
+    for link in landmark.links:
+        total += (link.heading or 0.0) + (link.compass or 0.0)
+        if link.distance is not None:
+            if link.distance < 0:
+                return False
+            total += link.distance
+    return math.isfinite(total)
 
 
 def _covariance_problems(place: str, covariance: Array | None) -> list[errors.Problem]:
@@ -253,7 +295,8 @@ def _pose(T: Transform | ArrayLike, r: int) -> Array:
 def _starting_poses(recorded: LandmarkMap, start: ArrayLike | None) -> Array:
     """Poses (n, 3) of all landmarks in their map's frame; theta 0 for landmarks without heading."""
     n = len(recorded)
-    headings = [headings_of(recorded)[name] for name in recorded.ids]
+    of = headings_of(recorded)
+    headings = [of[name] for name in recorded.ids]
     thetas = np.array([0.0 if h is None else h for h in headings], dtype=float)
     positions = recorded.positions
     if start is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from mapfuse.datasets import arms
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 
-from .keys import ByIdentity, FrameKey, LandmarkKey
+from .keys import ByIdentity, map_keys
 from .measurement import Between
 from .noise import PINNED_ROTATION, PoseNoise
 
@@ -28,12 +28,22 @@ class RotationPin(Between):
 
 def headings_of(recorded: LandmarkMap) -> Mapping[str, float | None]:
     """Heading [rad, map frame] of each landmark by id, None where it has none; kept for the maps used last."""
-    return _headings_of(ByIdentity(recorded))
+    return _directions(ByIdentity(recorded))[0]
+
+
+def signatures_of(recorded: LandmarkMap) -> Mapping[str, arms.ArmSignature]:
+    """Arm signature of each landmark by id; kept for the maps used last."""
+    return _directions(ByIdentity(recorded))[1]
 
 
 @lru_cache(maxsize=256)
-def _headings_of(cached: ByIdentity) -> Mapping[str, float | None]:
-    return {landmark.id: arms.heading_of(landmark) for landmark in cached.recorded.landmarks}
+def _directions(cached: ByIdentity) -> tuple[Mapping[str, float | None], Mapping[str, arms.ArmSignature]]:
+    signatures = {landmark.id: arms.signature(landmark) for landmark in cached.recorded.landmarks}
+    headings: dict[str, float | None] = {}
+    for landmark in cached.recorded.landmarks:
+        of_arms = signatures[landmark.id].heading
+        headings[landmark.id] = landmark.heading if of_arms is None else of_arms
+    return headings, signatures
 
 
 def heading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
@@ -43,7 +53,7 @@ def heading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:
     arm is used, in its link and in correspondences. Without arms: that of its own 3x3 covariance, else
     ``heading_sigma``.
     """
-    if arms.signature(landmark).headings:
+    if signatures_of(recorded)[landmark.id].headings:
         return float(recorded.noise.heading_sigma / np.sqrt(2))
     if landmark.covariance is not None and landmark.covariance.shape == (3, 3):
         return float(np.sqrt(max(0.0, landmark.covariance[2, 2])))
@@ -62,7 +72,7 @@ def arms_variance(recorded: LandmarkMap, landmark: Landmark, used: int) -> float
     Each arm adds its own error: ``heading_sigma^2 / 2 / used``. Where a joint covariance gives the heading, the mean
     error of all arms is in there already, and only the rest counts: ``heading_sigma^2 / 2 (1 / used - 1 / k)``.
     """
-    k = len(arms.signature(landmark).headings)
+    k = len(signatures_of(recorded)[landmark.id].headings)
     if not used or not k:
         return 0.0
     rest = 1 / k if heading_is_joint(recorded, landmark) else 0.0
@@ -76,12 +86,12 @@ def heading_measurements(
 
     ``known``: landmarks whose headings a joint covariance gives.
     """
-    for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
-        h = headings_of(recorded)[landmark.id]
-        key = LandmarkKey(r, landmark.id)
+    keys, headings = map_keys(recorded, r), headings_of(recorded)
+    for identifier, key in keys.landmarks.items():
+        h = headings[identifier]
         if h is None:
             noise = PoseNoise.from_sigmas(np.inf, np.inf, PINNED_ROTATION)
-            yield RotationPin(FrameKey(r), key, (0.0, 0.0, 0.0), noise)
-        elif landmark.id not in known:
-            noise = PoseNoise.from_sigmas(np.inf, np.inf, heading_sigma(recorded, landmark))
-            yield HeadingPrior(FrameKey(r), key, (0.0, 0.0, h), noise)
+            yield RotationPin(keys.frame, key, (0.0, 0.0, 0.0), noise)
+        elif identifier not in known:
+            noise = PoseNoise.from_sigmas(np.inf, np.inf, heading_sigma(recorded, recorded[identifier]))
+            yield HeadingPrior(keys.frame, key, (0.0, 0.0, h), noise)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from math import atan2, cos, hypot, pi, sin, sqrt
 from typing import Any
 
 import gtsam
@@ -20,7 +22,7 @@ from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 
 from .axes import wrapped
 from .heading import headings_of
-from .keys import KeyBook, LandmarkKey, Unknown
+from .keys import ByIdentity, KeyBook, LandmarkKey, Unknown, map_keys
 from .measurement import Array, Between, Poses, squared_error
 from .noise import LOOSE_ROTATION, TIGHT, PoseNoise
 
@@ -30,6 +32,10 @@ BENT = float(np.deg2rad(20.0))
 OPPOSITE = 1e-3
 #: Smallest standard deviation of an arm's direction relative to its landmark's heading [rad].
 LEAST_DIRECTION_SIGMA = 0.005
+ROOT_2 = sqrt(2.0)
+
+#: A landmark at one end of a link, and its unknown.
+End = tuple[Landmark, LandmarkKey]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +86,51 @@ class RangeMeasurement:
         return gtsam.RangeFactorPose2(keys.key(self.a), keys.key(self.b), self.distance, model)
 
 
-def travelled_links(recorded: LandmarkMap, landmark: Landmark) -> Iterator[tuple[Link, Landmark]]:
+class Ways:
+    """The links of a map that have a distance, sorted once per landmark and looked up from both ends."""
+
+    __slots__ = ("_between", "_from", "recorded")
+
+    def __init__(self, recorded: LandmarkMap) -> None:
+        self.recorded = recorded
+        self._from: dict[str, tuple[tuple[Link, Landmark], ...]] = {}
+        self._between: dict[str, dict[str, list[Link]]] = {}
+
+    def leaving(self, landmark: Landmark) -> tuple[tuple[Link, Landmark], ...]:
+        """As `travelled_links`."""
+        found = self._from.get(landmark.id)
+        if found is None:
+            self._from[landmark.id] = found = tuple(_travelled(self.recorded, landmark))
+        return found
+
+    def between(self, landmark: Landmark, far: str) -> list[Link]:
+        """The links that a landmark recorded to the landmark ``far``, in that order."""
+        of_far = self._between.get(landmark.id)
+        if of_far is None:
+            self._between[landmark.id] = of_far = {}
+            for link, target in self.leaving(landmark):
+                of_far.setdefault(target.id, []).append(link)
+        return of_far.get(far, [])
+
+
+@lru_cache(maxsize=64)
+def _ways(cached: ByIdentity) -> Ways:
+    return Ways(cached.recorded)
+
+
+def travelled_links(recorded: LandmarkMap, landmark: Landmark) -> tuple[tuple[Link, Landmark], ...]:
     """Links of a landmark with a distance to another landmark, and that landmark, in an order that the file's has
     no part in.
 
     Raises `MapError` where a link names a landmark that the map doesn't have.
     """
-    order = sorted(
-        (link for link in landmark.links if link.connected_to_id is not None and link.distance is not None),
-        key=lambda l: (l.connected_to_id or "", l.distance or 0.0, l.heading is None, l.heading or 0.0),
-    )
+    return _ways(ByIdentity(recorded)).leaving(landmark)
+
+
+def _travelled(recorded: LandmarkMap, landmark: Landmark) -> Iterator[tuple[Link, Landmark]]:
+    order = [link for link in landmark.links if link.connected_to_id is not None and link.distance is not None]
+    if len(order) > 1:
+        order.sort(key=lambda l: (l.connected_to_id or "", l.distance or 0.0, l.heading is None, l.heading or 0.0))
     for link in order:
         place = recorded.index_from_id.get(link.connected_to_id or "")
         if place is None:
@@ -109,12 +150,12 @@ def twin(recorded: LandmarkMap, landmark: Landmark, link: Link) -> Link | None:
     def unlike(other: Link) -> tuple[float, float]:
         gap = abs((other.distance or 0.0) - (link.distance or 0.0))
         if link.heading is None or other.heading is None:
-            return gap, np.pi
-        return gap, abs(wrapped(other.heading - link.heading - np.pi))
+            return gap, pi
+        return gap, abs(wrapped(other.heading - link.heading - pi))
 
     far = recorded[link.connected_to_id or ""]
-    back = [other for other, target in travelled_links(recorded, far) if target.id == landmark.id]
-    return min(back, key=unlike, default=None)
+    back = _ways(ByIdentity(recorded)).between(far, landmark.id)
+    return back[0] if len(back) == 1 else min(back, key=unlike, default=None)
 
 
 def is_bent(recorded: LandmarkMap, landmark: Landmark, link: Link) -> bool:
@@ -130,8 +171,10 @@ def is_bent(recorded: LandmarkMap, landmark: Landmark, link: Link) -> bool:
     """
     if link.heading is None or link.distance is None or link.connected_to_id in (None, landmark.id):
         return False
-    other = twin(recorded, landmark, link)
-    far = recorded[link.connected_to_id or ""]
+    return _is_bent(landmark, recorded[link.connected_to_id or ""], link, twin(recorded, landmark, link))
+
+
+def _is_bent(landmark: Landmark, far: Landmark, link: Link, other: Link | None) -> bool:
     return _leaves_chord(landmark, far, link) or (other is not None and _leaves_chord(far, landmark, other))
 
 
@@ -143,7 +186,7 @@ def _leaves_chord(landmark: Landmark, far: Landmark, link: Link) -> bool:
 
 
 def _chord(landmark: Landmark, far: Landmark) -> float:
-    return float(np.arctan2(far.y - landmark.y, far.x - landmark.x))
+    return atan2(far.y - landmark.y, far.x - landmark.x)
 
 
 def link_measurements(recorded: LandmarkMap, r: int) -> Iterator[LinkMeasurement | RangeMeasurement]:
@@ -152,13 +195,16 @@ def link_measurements(recorded: LandmarkMap, r: int) -> Iterator[LinkMeasurement
     A link without heading at either end is a range, but only where the recorded positions bear out that it is
     straight (distance and recorded displacement within three standard deviations of each other).
     """
-    for landmark in sorted(recorded.landmarks, key=lambda l: l.id):
+    keys, headings = map_keys(recorded, r).landmarks, headings_of(recorded)
+    for identifier, key in keys.items():
+        landmark = recorded[identifier]
         for link, far in travelled_links(recorded, landmark):
-            other = twin(recorded, landmark, link)
+            other, far_key = twin(recorded, landmark, link), keys[far.id]
             if link.heading is not None:
-                yield _displacement(recorded, r, landmark, far, link, other)
+                ends = headings[identifier] or 0.0, headings[far.id] or 0.0
+                yield _displacement(recorded, (landmark, key), (far, far_key), ends, link, other)
             elif other is None or other.heading is None or not _same_distance(link, other):
-                found = _range(recorded, r, landmark, far, link, other)
+                found = _range(recorded, (landmark, key), (far, far_key), link, other)
                 if found is not None:
                     yield found
 
@@ -168,50 +214,44 @@ def _same_distance(link: Link, other: Link) -> bool:
 
 
 def _displacement(
-    recorded: LandmarkMap, r: int, landmark: Landmark, far: Landmark, link: Link, other: Link | None
+    recorded: LandmarkMap, near: End, to: End, ends: tuple[float, float], link: Link, other: Link | None
 ) -> LinkMeasurement:
-    h_i, h_j = headings_of(recorded)[landmark.id] or 0.0, headings_of(recorded)[far.id] or 0.0
+    """``ends``: headings [rad] of the two landmarks."""
+    (landmark, key), (far, far_key), (h_i, h_j) = near, to, ends
     assert link.heading is not None
     assert link.distance is not None
     noise, d = recorded.noise, link.distance
     shares = other is not None and other.heading is not None
-    bent = is_bent(recorded, landmark, link)
+    bent = _is_bent(landmark, far, link, other)
     if bent:
-        length, direction = float(np.hypot(far.x - landmark.x, far.y - landmark.y)), _chord(landmark, far)
+        length, direction = hypot(far.x - landmark.x, far.y - landmark.y), _chord(landmark, far)
         along, across = noise.distance_sigma(d), d * noise.heading_sigma
         same_length = same_direction = shares
     else:
-        relative = noise.heading_sigma / np.sqrt(2)
         length, direction = d, link.heading
         along = noise.distance_sigma(d, link.travel_counter)
-        across = d * max(float(relative), LEAST_DIRECTION_SIGMA)
+        across = d * max(noise.heading_sigma / ROOT_2, LEAST_DIRECTION_SIGMA)
         same_length = same_direction = False
         if other is not None and other.heading is not None:
             same_length = _same_distance(link, other)
-            same_direction = abs(wrapped(other.heading - link.heading - np.pi)) <= OPPOSITE
-    along *= np.sqrt(2) if same_length else 1.0
-    across *= np.sqrt(2) if same_direction else 1.0
-    relative_direction = direction - h_i
-    xy = length * np.array([np.cos(relative_direction), np.sin(relative_direction)])
+            same_direction = abs(wrapped(other.heading - link.heading - pi)) <= OPPOSITE
+    along *= ROOT_2 if same_length else 1.0
+    across *= ROOT_2 if same_direction else 1.0
+    relative = direction - h_i
     turn = wrapped(h_j - h_i)
-    return LinkMeasurement(
-        LandmarkKey(r, landmark.id),
-        LandmarkKey(r, far.id),
-        (float(xy[0]), float(xy[1]), turn),
-        PoseNoise.from_axes(relative_direction - turn, along, across, LOOSE_ROTATION),
-        bent=bent,
-    )
+    measured = (length * cos(relative), length * sin(relative), turn)
+    noise_ab = PoseNoise.from_axes(relative - turn, along, across, LOOSE_ROTATION)
+    return LinkMeasurement(key, far_key, measured, noise_ab, bent=bent)
 
 
-def _range(
-    recorded: LandmarkMap, r: int, landmark: Landmark, far: Landmark, link: Link, other: Link | None
-) -> RangeMeasurement | None:
+def _range(recorded: LandmarkMap, near: End, to: End, link: Link, other: Link | None) -> RangeMeasurement | None:
+    (landmark, key), (far, far_key) = near, to
     assert link.distance is not None
     noise = recorded.noise
     sigma = max(TIGHT, noise.distance_sigma(link.distance, link.travel_counter))
-    chord = float(np.hypot(far.x - landmark.x, far.y - landmark.y))
+    chord = hypot(far.x - landmark.x, far.y - landmark.y)
     if abs(link.distance - chord) > 3 * np.sqrt(sigma**2 + 2 * noise.position_sigma**2):
         return None
     shared = other is not None and other.heading is None and _same_distance(link, other)
-    sigma *= float(np.sqrt(2)) if shared else 1.0
-    return RangeMeasurement(LandmarkKey(r, landmark.id), LandmarkKey(r, far.id), link.distance, sigma)
+    sigma *= ROOT_2 if shared else 1.0
+    return RangeMeasurement(key, far_key, link.distance, sigma)

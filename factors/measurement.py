@@ -6,6 +6,7 @@ measurement derive from them and differ in where their numbers come from.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -51,10 +52,12 @@ class Measurement(Protocol):
         ...
 
 
-def checked_pose(pose: Triple, what: str) -> Triple:
+def checked_pose(pose: Triple, of: object, *unknowns: Unknown) -> Triple:
     """A pose of finite numbers as plain floats; raises `MapfuseError` otherwise (GTSAM takes NaN in silence)."""
-    x, y, theta = (float(value) for value in pose)
-    if not np.isfinite((x, y, theta)).all():
+    x, y, theta = pose
+    x, y, theta = float(x), float(y), float(theta)
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(theta)):
+        what = f"{type(of).__name__} of {' and '.join(map(str, unknowns))}"
         raise MapfuseError(f"{what} has a measured pose that is not finite: {(x, y, theta)}")
     return x, y, theta
 
@@ -74,7 +77,7 @@ class Between:
     loss: Loss | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "measured", checked_pose(self.measured, f"{type(self).__name__} {self.a}-{self.b}"))
+        object.__setattr__(self, "measured", checked_pose(self.measured, self, self.a, self.b))
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -110,7 +113,7 @@ class Prior:
     noise: PoseNoise
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "measured", checked_pose(self.measured, f"{type(self).__name__} of {self.of}"))
+        object.__setattr__(self, "measured", checked_pose(self.measured, self, self.of))
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:

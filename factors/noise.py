@@ -8,6 +8,7 @@ anything 4096 times tighter (a pin of 1e-3 rad under a prior of 10 rad failed in
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
@@ -75,17 +76,13 @@ class PoseNoise:
 
     def __post_init__(self) -> None:
         numbers = (self.xx, self.xy, self.xt, self.yy, self.yt, self.tt)
-        if not all(np.isfinite(numbers)) or min(self.xx, self.yy, self.tt) < 0:
+        if not all(map(math.isfinite, numbers)) or min(self.xx, self.yy, self.tt) < 0:
             raise MapfuseError(f"a measurement's noise must be finite and positive, not {self}")
 
     @classmethod
     def from_sigmas(cls, x: float, y: float, theta: float) -> PoseNoise:
         """From standard deviations [m, m, rad]; infinite: not measured; below `TIGHT`: raised to it."""
-        sigmas = (x, y, theta)
-        if any(np.isnan(sigmas)) or min(sigmas) < 0:
-            raise MapfuseError(f"standard deviations must be positive, not {sigmas}")
-        x, y, theta = (1 / max(TIGHT, float(sigma)) for sigma in sigmas)
-        return cls(x, 0.0, y, theta)
+        return _of_sigmas(float(x), float(y), float(theta))
 
     @classmethod
     def from_covariance(cls, position: ArrayLike, sigma_theta: float) -> PoseNoise:
@@ -104,12 +101,16 @@ class PoseNoise:
     @classmethod
     def from_axes(cls, direction: float, along: float, across: float, sigma_theta: float) -> PoseNoise:
         """From standard deviations [m] along and across a direction [rad] in the error's axes."""
-        c, s = np.cos(direction), np.sin(direction)
-        p, q = 1 / max(TIGHT, along) ** 2, 1 / max(TIGHT, across) ** 2
+        theta = cls.from_sigmas(1.0, 1.0, sigma_theta)
+        if not (along >= 0 and across >= 0 and math.isfinite(direction)):
+            raise MapfuseError(f"standard deviations must be positive, not {(along, across)}")
+        c, s = math.cos(direction), math.sin(direction)
+        p, q = (1 / max(TIGHT, along)) ** 2, (1 / max(TIGHT, across)) ** 2
         a, b = p * c * c + q * s * s, (p - q) * c * s
-        xx = np.sqrt(a)
-        theta = cls.from_sigmas(along, across, sigma_theta)
-        return cls(float(xx), float(b / xx), float(np.sqrt(p * q / a)), theta.tt)
+        if not a > 0:
+            raise MapfuseError(f"standard deviations of {(along, across)} m leave nothing measured")
+        xx = math.sqrt(a)
+        return cls(float(xx), float(b / xx), math.sqrt(p * q / a), theta.tt)
 
     def whiten(self, error: ArrayLike) -> Array:
         """``R e`` of an error (3,)."""
@@ -121,6 +122,15 @@ class PoseNoise:
         """Log of the Gaussian's factor ``|R| (2 pi)^(-m/2)`` over its m measured rows."""
         measured = [r for r in (self.xx, self.yy, self.tt) if r > 0]
         return float(np.sum(np.log(measured)) - len(measured) / 2 * np.log(2 * np.pi))
+
+
+@lru_cache(maxsize=4096)
+def _of_sigmas(x: float, y: float, theta: float) -> PoseNoise:
+    """One value for all the measurements that are as sure."""
+    sigmas = (x, y, theta)
+    if any(map(math.isnan, sigmas)) or min(sigmas) < 0:
+        raise MapfuseError(f"standard deviations must be positive, not {sigmas}")
+    return PoseNoise(1 / max(TIGHT, x), 0.0, 1 / max(TIGHT, y), 1 / max(TIGHT, theta))
 
 
 def floored_eigen(covariance: ArrayLike) -> tuple[Array, Array]:

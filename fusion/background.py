@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapfuse.datasets.arms import Kind, signature
+
 from .coverage import SeenArea
 from .prepared import PreparedMap
+from .regularity import Gaps, Regularity
+
+Array = NDArray[np.float64]
+
+#: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
+ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,15 +30,16 @@ class Background:
 
     m1: PreparedMap
     m2: PreparedMap
+    _regularity: dict[float, Regularity] = field(default_factory=dict, repr=False)
 
     @cached_property
     def points1(self) -> NDArray[np.bool_]:
-        """Which landmarks of map 1 are point landmarks."""
+        """Which landmarks of map 1 are point landmarks (n1,)."""
         return _point_like(self.m1)
 
     @cached_property
     def points2(self) -> NDArray[np.bool_]:
-        """Which landmarks of map 2 are point landmarks."""
+        """Which landmarks of map 2 are point landmarks (n2,)."""
         return _point_like(self.m2)
 
     @cached_property
@@ -55,23 +64,89 @@ class Background:
         area = self.area1.area() + self.area2.area()
         return self._rates(self.points1, self.points2, max(area, 1.0))
 
-    def rate_of(self, m: PreparedMap, k: int) -> float:
-        """True landmarks like landmark ``k`` of one of the two maps: per metre of corridor, or per m^2 for points."""
-        point = self.points1[k] if m is self.m1 else self.points2[k]
-        return (self.area_rate if point else self.rate)[label(m, k)]
+    @cached_property
+    def rates1(self) -> Array:
+        """True landmarks like each one of map 1 (n1,): [1/m] of corridor, or [1/m^2] for points."""
+        return self._rates_of(self.m1, self.points1)
+
+    @cached_property
+    def rates2(self) -> Array:
+        """True landmarks like each one of map 2 (n2,): [1/m] of corridor, or [1/m^2] for points."""
+        return self._rates_of(self.m2, self.points2)
+
+    @cached_property
+    def common(self) -> float:
+        """Landmarks per metre of corridor that both robots record where both pass [1/m]."""
+        return self._recorded_by_both(self.rate)
+
+    @cached_property
+    def area_common(self) -> float:
+        """Point landmarks per square metre that both robots record where both look [1/m^2]."""
+        return self._recorded_by_both(self.area_rate)
+
+    @cached_property
+    def there1(self) -> Array:
+        """Log probability that each landmark of map 1 is there (n1,)."""
+        return np.log1p(-false_alarms(self.m1))
+
+    @cached_property
+    def there2(self) -> Array:
+        """Log probability that each landmark of map 2 is there (n2,)."""
+        return np.log1p(-false_alarms(self.m2))
+
+    @cached_property
+    def recorded1(self) -> Array:
+        """Probability (n1,) that robot 2, passing, records a landmark that stands in map 1."""
+        return recorded_rates(self.m1, self.m2)
+
+    @cached_property
+    def recorded2(self) -> Array:
+        """Probability (n2,) that robot 1, passing, records a landmark that stands in map 2."""
+        return recorded_rates(self.m2, self.m1)
+
+    @cached_property
+    def ways1(self) -> Array:
+        """Log number of ways in which each landmark of map 1 could lie on its corridor (n1,)."""
+        kinds = [signature(landmark).kind for landmark in self.m1.map.landmarks]
+        return np.log([float(ORIENTATIONS.get(kind, 1)) for kind in kinds])
+
+    @cached_property
+    def labels(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """The label of every landmark of either map as a number."""
+        numbers = {name: k for k, name in enumerate(sorted({*self.m1.map.types, *self.m2.map.types}))}
+        one, two = ([numbers[name] for name in m.map.types] for m in (self.m1, self.m2))
+        return np.array(one, dtype=np.intp), np.array(two, dtype=np.intp)
+
+    def regularity(self, angle: float) -> Regularity:
+        """How regularly the building is laid out; corridors go straight on within ``angle`` [rad]."""
+        found = self._regularity.get(angle)
+        if found is None:
+            gaps = [Gaps.of(m, label, angle) for m, label in zip((self.m1, self.m2), self.labels, strict=True)]
+            found = self._regularity[angle] = Regularity(gaps[0], gaps[1])
+        return found
 
     def _rates(self, of1: NDArray[np.bool_], of2: NDArray[np.bool_], extent: float) -> dict[str, float]:
         expected: defaultdict[str, float] = defaultdict(float)
         for m, chosen in ((self.m1, of1), (self.m2, of2)):
+            there = 1 - false_alarms(m)
             for k in np.flatnonzero(chosen).tolist():
-                expected[label(m, k)] += (1 - false_alarm(m, k)) / max(m.map.noise.detection(m.map.types[k]), 1e-3)
+                expected[label(m, k)] += float(there[k]) / max(m.map.noise.detection(m.map.types[k]), 1e-3)
         return {name: count / extent for name, count in expected.items()}
+
+    def _rates_of(self, m: PreparedMap, points: NDArray[np.bool_]) -> Array:
+        area = self.area_rate if points.any() else {}
+        return np.array([(area if point else self.rate)[label(m, k)] for k, point in enumerate(points)], dtype=float)
+
+    def _recorded_by_both(self, rates: dict[str, float]) -> float:
+        noise1, noise2 = self.m1.map.noise, self.m2.map.noise
+        return sum(rate * noise1.detection(name) * noise2.detection(name) for name, rate in rates.items())
 
 
 def _point_like(m: PreparedMap) -> NDArray[np.bool_]:
     """Landmarks that stand in the open rather than on a corridor: without arms and without links."""
-    linked = {k for pair in m.corridors.tolist() for k in pair}
-    return np.array([not m.has_arms[k] and k not in linked for k in range(len(m))], dtype=bool)
+    linked = np.zeros(len(m), dtype=bool)
+    linked[m.corridors.ravel()] = True
+    return ~m.has_arms & ~linked
 
 
 def label(m: PreparedMap, k: int) -> str:
@@ -90,3 +165,14 @@ def false_alarm(m: PreparedMap, k: int) -> float:
     else:
         rate = m.map.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
     return min(max(rate, 1e-9), 1 - 1e-9)
+
+
+def false_alarms(m: PreparedMap) -> Array:
+    """`false_alarm` of all landmarks of a map (n,)."""
+    return np.array([false_alarm(m, k) for k in range(len(m))], dtype=float)
+
+
+def recorded_rates(m: PreparedMap, other: PreparedMap) -> Array:
+    """Probability (n,) that the other robot, passing, records each landmark that stands in this map."""
+    detection = np.array([other.map.noise.detection(name) for name in m.map.types], dtype=float)
+    return np.asarray(np.clip((1 - false_alarms(m)) * detection, 1e-6, 1 - 1e-6))

@@ -63,7 +63,6 @@ class EvidenceConfig:
     ``corridor_width_m`` [m]: a landmark that far from a travelled link, or less, was passed.
     ``corridor_angle_deg`` [degrees]: a link that strays further from its arm is no travelled corridor.
     ``arm_error_rate``: probability that a sensed arm is wrong about being passable.
-    ``junction_discount`` [nats]: taken off for each matched junction after the first, since junctions lie on grids.
     ``look_elsewhere`` [nats]: taken off for each hypothesis, since many are tried.
     ``repetition_rate``: probability that a building repeats itself in a way that two hypotheses fit.
     ``repetition_odds`` [nats]: log odds that a wrong hypothesis may reach by chance where nothing repeats.
@@ -72,8 +71,7 @@ class EvidenceConfig:
     corridor_width_m: float = 1.0
     corridor_angle_deg: float = 20.0
     arm_error_rate: float = 0.05
-    junction_discount: float = 2.0
-    look_elsewhere: float = 4.0
+    look_elsewhere: float = 3.0
     repetition_rate: float = 0.05
     repetition_odds: float = 3.0
 
@@ -85,7 +83,6 @@ class EvidenceConfig:
                 "corridor_width_m": (0.01, 100),
                 "corridor_angle_deg": (1, 90),
                 "arm_error_rate": (1e-6, 0.5),
-                "junction_discount": (0, 50),
                 "look_elsewhere": (-50, 100),
                 "repetition_rate": (0, 1),
                 "repetition_odds": (-50, 50),

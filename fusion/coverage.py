@@ -13,12 +13,10 @@ from scipy.spatial.distance import pdist, squareform
 from mapfuse.datasets import se2
 
 from .prepared import PreparedMap
+from .regularity import evidence_kernels
 from .tomap import OTHER_PATHS
 
 Array = NDArray[np.float64]
-
-#: A landmark this close [m] to the end of a travelled link is not passed but reached.
-END_MARGIN_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,71 +29,27 @@ class Segments:
     def __len__(self) -> int:
         return len(self.start)
 
-    @property
-    def length(self) -> Array:
-        """Lengths (m,) [m]."""
-        return np.asarray(np.linalg.norm(self.end - self.start, axis=1))
-
-    @property
-    def direction(self) -> Array:
-        """Unit vectors (m, 2)."""
-        return (self.end - self.start) / np.maximum(self.length, 1e-9)[:, None]
-
     @classmethod
     def of(cls, prepared: PreparedMap, positions: Array) -> Segments:
         """The straight travelled links of a map, its landmarks being at ``positions`` (n, 2)."""
-        ends = positions[prepared.corridors]
-        return cls(ends[:, 0], ends[:, 1])
+        return cls(positions[prepared.corridors[:, 0]], positions[prepared.corridors[:, 1]])
 
 
-def passed(points: Array, segments: Segments, width: float) -> NDArray[np.bool_]:
-    """Which segments pass which points: lateral offset below ``width`` [m], inside the ends; (points, segments)."""
-    if not len(points) or not len(segments):
-        return np.zeros((len(points), len(segments)), dtype=bool)
-    offset = points[:, None, :] - segments.start[None]
-    along = np.einsum("psi,si->ps", offset, segments.direction)
-    across = offset[..., 1] * segments.direction[:, 0] - offset[..., 0] * segments.direction[:, 1]
-    inside = (along > END_MARGIN_M) & (along < segments.length - END_MARGIN_M)
-    return np.asarray(inside & (np.abs(across) < width))
+def passed(points: Array, segments: Segments, width: float, margin: float = 0.0) -> NDArray[np.bool_]:
+    """Which segments pass which points: lateral offset below ``width`` [m], inside the ends by ``margin`` [m];
+    (points, segments)."""
+    by: NDArray[np.bool_] = evidence_kernels().passes(points, segments.start, segments.end, width, margin)
+    return by
 
 
-def overlap_length(
-    segments1: Segments, segments2: Segments, width: float, angle: float, end_margin: float = 0.0
-) -> float:
+def overlap_length(segments1: Segments, segments2: Segments, width: float, angle: float) -> float:
     """Length [m] of corridor that both travelled: parallel within ``angle`` [rad], within ``width`` [m] across.
 
-    Symmetric: the mean of what map 1's links cover of map 2's and the reverse. ``end_margin`` [m]: what the covering
-    link doesn't cover at either end, as in `passed`.
+    Symmetric: the mean of what map 1's links cover of map 2's and the reverse.
     """
-    return (
-        _covered(segments1, segments2, width, angle, end_margin)
-        + _covered(segments2, segments1, width, angle, end_margin)
-    ) / 2
-
-
-def _covered(a: Segments, b: Segments, width: float, angle: float, end_margin: float) -> float:
-    """Length [m] of the segments ``a`` that lies alongside one of ``b``."""
-    if not len(a) or not len(b):
-        return 0.0
-    cosine = a.direction @ b.direction.T
-    to_start, to_end = b.start[None] - a.start[:, None], b.end[None] - a.start[:, None]
-    s, e = (np.einsum("abi,ai->ab", to, a.direction) for to in (to_start, to_end))
-    margin = end_margin * np.abs(cosine)
-    low, high = np.minimum(s, e) + margin, np.maximum(s, e) - margin
-    low, high = np.clip(low, 0, a.length[:, None]), np.clip(high, 0, a.length[:, None])
-    # across at the middle of the stretch that lies alongside
-    share = np.where(np.abs(e - s) > 1e-9, ((low + high) / 2 - s) / np.where(np.abs(e - s) > 1e-9, e - s, 1), 0.5)
-    middle = to_start + share[..., None] * (to_end - to_start)
-    across = np.abs(middle[..., 1] * a.direction[:, None, 0] - middle[..., 0] * a.direction[:, None, 1])
-    alongside = (np.abs(cosine) > np.cos(angle)) & (across < width) & (high > low)
-    return sum(_union(low[k, alongside[k]], high[k, alongside[k]]) for k in np.flatnonzero(alongside.any(axis=1)))
-
-
-def _union(low: Array, high: Array) -> float:
-    """Length of the union of intervals."""
-    order = np.argsort(low)
-    reach = np.maximum.accumulate(np.concatenate([[-np.inf], high[order]]))
-    return float(np.clip(high[order] - np.maximum(low[order], reach[:-1]), 0, None).sum())
+    one, two = (segments1.start, segments1.end), (segments2.start, segments2.end)
+    cosine, covered = float(np.cos(angle)), evidence_kernels().covered
+    return float(covered(*one, *two, width, cosine) + covered(*two, *one, width, cosine)) / 2
 
 
 def _ways(prepared: PreparedMap) -> Array:

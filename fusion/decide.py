@@ -16,31 +16,38 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Hypotheses best first with their probabilities (k,), that of no overlap, and the decision."""
+    """Hypotheses best first with their probabilities (k,), what they weigh (k,) [nats] (`log_weights`), the
+    probability of no overlap, and the decision."""
 
     ranked: tuple[Weighed, ...]
     probabilities: Array
+    weights: Array
     no_overlap: float
     decision: PairDecision
 
 
-def log_weights(log_odds: Array, contradiction: Array, evidence: EvidenceConfig) -> Array:
+def log_weights(log_odds: Array, alias: Array, evidence: EvidenceConfig) -> Array:
     """What each hypothesis weighs against no overlap (k,) [nats], before the overlap prior.
 
     Each hypothesis weighs its odds against none. But where a second hypothesis beats none as well, the building may
-    repeat itself, and which of the two overlaps more then says nothing (repetition rule, docs/evidence.md): with the
-    probability that it does so, a rival is compared with the best one only by what contradicts either.
+    repeat itself, and which of the two overlaps more then says nothing (repetition rule, docs/evidence.md): a rival k
+    of the best one b is right where b is its image, or b right where k is. ``alias`` (k, 2) [nats]: the odds of what b
+    shows, and of what k shows, at an image of the right place against at the right place itself; (k,): of what each
+    shows, whichever is its rival.
     """
     if not len(log_odds):
         return np.zeros(0)
     best = int(np.argmax(log_odds))
-    rho = evidence.repetition_rate
-    # probability that the building repeats, given how far a wrong hypothesis would have to go by chance
-    by_chance = np.exp(-np.clip(log_odds - evidence.repetition_odds, -50, 50))
-    repeats = rho / (rho + (1 - rho) * by_chance)
-    alike = log_odds[best] + contradiction - contradiction[best]
-    with np.errstate(divide="ignore"):
-        weights = np.logaddexp(np.log1p(-repeats) + log_odds, np.log(repeats) + alike)
+    if alias.ndim == 1:
+        alias = np.column_stack([np.full(len(alias), alias[best]), alias])
+    rho = min(max(evidence.repetition_rate, 1e-300), 1 - 1e-12)
+    # odds that the building repeats itself, less how far a wrong hypothesis gets by chance
+    repeats = np.log(rho) - np.log1p(-rho) - evidence.repetition_odds
+    weights = (
+        log_odds
+        + np.logaddexp(0.0, repeats + log_odds[best] + alias[:, 0])
+        - np.logaddexp(0.0, repeats + log_odds + alias[:, 1])
+    )
     weights[best] = log_odds[best]
     return np.asarray(weights)
 
@@ -53,16 +60,16 @@ def probabilities(weights: Array, overlap_prior: float) -> Array:
     return np.asarray(weight / weight.sum())
 
 
-def posterior(log_odds: Array, contradiction: Array, evidence: EvidenceConfig, overlap_prior: float) -> Array:
+def posterior(log_odds: Array, alias: Array, evidence: EvidenceConfig, overlap_prior: float) -> Array:
     """Probabilities of the hypotheses of one pair of maps (k,) and, last, of no overlap: (k + 1,)."""
-    return probabilities(log_weights(log_odds, contradiction, evidence), overlap_prior)
+    return probabilities(log_weights(log_odds, alias, evidence), overlap_prior)
 
 
-def decide(weighed: list[Weighed], evidence: EvidenceConfig, config: DecisionConfig) -> Verdict:
-    """The verdict over all weighed hypotheses of one pair of maps."""
+def decide(weighed: list[Weighed], alias: Array, evidence: EvidenceConfig, config: DecisionConfig) -> Verdict:
+    """The verdict over all weighed hypotheses of one pair of maps; ``alias`` as in `log_weights`."""
     odds = np.array([w.log_odds for w in weighed])
-    against = np.array([w.contradiction for w in weighed])
-    everything = posterior(odds, against, evidence, config.overlap_prior)
+    weights = log_weights(odds, alias, evidence)
+    everything = probabilities(weights, config.overlap_prior)
     order = np.lexsort((-odds, -everything[:-1])) if len(odds) else np.zeros(0, dtype=np.intp)
     ranked = tuple(weighed[k] for k in order)
     ordered, none = everything[:-1][order], float(everything[-1])
@@ -73,4 +80,4 @@ def decide(weighed: list[Weighed], evidence: EvidenceConfig, config: DecisionCon
         decision = "no_overlap"
     else:
         decision = "ambiguous"
-    return Verdict(ranked, ordered, none, decision)
+    return Verdict(ranked, ordered, weights[order], none, decision)

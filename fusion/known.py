@@ -58,7 +58,7 @@ def credited(w: Weighed, known: Pairs) -> Weighed:
     """The hypothesis with what the maps' own statements add to its odds, where it agrees with them."""
     if not known or not agrees(w, known) or w.terms.known:
         return w
-    return replace(w, terms=replace(w.terms, known=KNOWN_NATS), contradiction=w.contradiction + KNOWN_NATS)
+    return replace(w, terms=replace(w.terms, known=KNOWN_NATS), apart=w.apart + KNOWN_NATS)
 
 
 def agrees(w: Weighed, known: Pairs) -> bool:

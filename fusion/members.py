@@ -16,11 +16,11 @@ from mapfuse.datasets import se2
 from .background import Background
 from .config import EvidenceConfig
 from .consistent import Choice, Pair
-from .evidence import Passing, emptiness, passing_at
 from .existence import existence
 from .joint import Joint
 from .joint import Members as Place
 from .pairwise import Comparison
+from .passing import Passing, emptiness, passing_at
 from .prepared import PreparedMap
 
 Array = NDArray[np.float64]

@@ -18,10 +18,12 @@ from mapfuse.matching.propose import propose
 from .background import Background
 from .config import FuseConfig, SolvingConfig
 from .decide import Verdict, decide
+from .elastic import Joined
 from .evidence import Weighed, weigh
-from .growth import Growth, Pairs, compatible, grow, joined_at
+from .growth import Growth, Pairs, compatible, grow
 from .known import check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
+from .repetition import repeats
 from .solve import Solution, solve
 
 Array = NDArray[np.float64]
@@ -29,6 +31,8 @@ Array = NDArray[np.float64]
 
 #: A hypothesis less probable than this gets no graph of its own.
 NEGLIGIBLE = 1e-4
+#: Log odds against no overlap [nats] below which a rival is no image of another placement.
+LEAST_RIVAL = -5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +131,22 @@ def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Wei
         gone = {tuple(key.id for key in match.pair) for match in solution.rejected}
         keep = np.array([match not in gone for match in matches], dtype=bool)
         if keep.any():
-            growth = Growth(joined_at(joined, joined.T12, joined.i[keep], joined.j[keep]), w.growth.rounds)
+            growth = Growth(Joined(m1, m2, joined.T12, joined.i[keep], joined.j[keep]), w.growth.rounds)
             w = weigh(growth, background, config.evidence)
     return w, solution
+
+
+def _decided(weighed: list[Weighed], background: Background, config: FuseConfig) -> Verdict:
+    """The verdict; rivals of the best hypothesis that may be its images are looked for in the maps themselves."""
+    best = max(weighed, key=lambda w: w.log_odds, default=None)
+    alias = np.zeros((len(weighed), 2))
+    for k, w in enumerate(weighed):
+        assert best is not None
+        of_building = None
+        if w is not best and w.log_odds > LEAST_RIVAL:
+            of_building = repeats(background, config.evidence, best.growth.joined.T12, w.growth.joined.T12)
+        alias[k] = best.alias(of_building), w.alias(of_building)
+    return decide(weighed, alias, config.evidence, config.decision)
 
 
 def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutcome:
@@ -140,14 +157,14 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig) -> PairOutco
     grown = grow_all(m1, m2, hypotheses, config.solving, known)
     weighed = [credited(weigh(g, background, config.evidence), known) for g in grown]
     weighed = _distinct(weighed, config.matching.tolerance_m)
-    verdict = decide(weighed, config.evidence, config.decision)
+    verdict = _decided(weighed, background, config)
     solved: dict[int, tuple[Weighed, Solution]] = {}
     for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):
         if probability >= NEGLIGIBLE:  # what cannot be the answer keeps the elastic match's T12
             solved[id(w)] = _solved(w, background, config)
     first = verdict.ranked
     again = [credited(solved[id(w)][0], known) if id(w) in solved else w for w in first]
-    verdict = decide(again, config.evidence, config.decision)
+    verdict = _decided(again, background, config)
     check_known(verdict.ranked, m1, m2, known)
     solutions = {
         id(after): solved[id(before)][1] for before, after in zip(first, again, strict=True) if id(before) in solved

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from mapfuse.datasets.transform import Transform
 
 from .config import FuseConfig
-from .decide import log_weights
 from .evidence import Terms, Weighed
 from .growth import Pairs
 from .pair import PairOutcome, fuse_pair
@@ -74,19 +73,16 @@ def compare(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, *, keep_soluti
     first, second = sorted((m1, m2), key=lambda m: m.map.name)
     outcome = fuse_pair(first, second, config)
     verdict = outcome.verdict
-    odds = np.array([w.log_odds for w in verdict.ranked])
-    against = np.array([w.contradiction for w in verdict.ranked])
-    rates = [np.array([outcome.background.rate_of(m, k) for k in range(len(m))]) for m in (first, second)]
     return Comparison(
         maps=(first.map.name, second.map.name),
         candidates=tuple(_candidate(outcome, rank, w) for rank, w in enumerate(verdict.ranked)),
         probabilities=verdict.probabilities,
-        weights=log_weights(odds, against, config.evidence),
+        weights=verdict.weights,
         no_overlap=verdict.no_overlap,
         decision=verdict.decision,
         reasons=(reason(verdict, swapped=False), reason(verdict, swapped=True)),
-        rates1=rates[0],
-        rates2=rates[1],
+        rates1=outcome.background.rates1,
+        rates2=outcome.background.rates2,
         solution=outcome.solutions.get(0) if keep_solution else None,
     )
 

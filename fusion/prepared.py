@@ -6,22 +6,24 @@ joint covariance are those of the least-squares optimum instead of whatever orde
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import atan2, hypot, isnan
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import heading_of, signature
+from mapfuse.datasets.arms import wrap as turned
 from mapfuse.datasets.errors import TooLargeError
-from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.factors import is_bent, single_map_problem
-from mapfuse.factors.heading import heading_is_joint
+from mapfuse.factors.axes import wrapped
+from mapfuse.factors.heading import heading_is_joint, headings_of, signatures_of
 
 from .config import SolvingConfig
-from .solve import solve
+from .solve import Solution, solve
 
 Array = NDArray[np.float64]
 
@@ -35,15 +37,15 @@ ARMS = 4
 class PreparedMap:
     """A map at its own optimum, with everything that comparing it needs.
 
-    ``positions`` (n, 2) [m] and ``headings`` (n,) [rad, NaN without] in the map's frame; ``covariance`` (3n, 3n) over
-    (x, y, heading) of every landmark in order, map axes. ``arm_headings`` (n, 4) [rad, NaN padded], ``arm_passable``
-    and ``arm_travelled`` (n, 4). ``corridors`` (m, 2): places in `map.landmarks` that a straight, travelled link joins.
+    ``positions`` (n, 2) [m] and ``headings`` (n,) [rad, NaN without] in the map's frame; ``solution``: that optimum,
+    for covariances (None of an empty map). ``arm_headings`` (n, 4) [rad, NaN padded], ``arm_passable`` and
+    ``arm_travelled`` (n, 4). ``corridors`` (m, 2): places in `map.landmarks` that a straight, travelled link joins.
     """
 
     map: LandmarkMap
     positions: Array
     headings: Array
-    covariance: Array
+    solution: Solution | None
     arm_headings: Array
     arm_passable: NDArray[np.bool_]
     arm_travelled: NDArray[np.bool_]
@@ -51,6 +53,37 @@ class PreparedMap:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Joint covariance (3n, 3n) over (x, y, heading) of every landmark in order, map axes.
+
+        Raises `TooLargeError` above `MAX_LANDMARKS`: `covariance_blocks` has no such bound.
+        """
+        if len(self) > MAX_LANDMARKS:
+            raise TooLargeError(_too_large(self.map))
+        return np.zeros((0, 0)) if self.solution is None else self.solution.landmark_covariance(0)
+
+    def covariance_blocks(self, i: NDArray[np.intp], j: NDArray[np.intp] | None = None) -> Array:
+        """Covariance (k, 3, 3) of each of the landmarks at ``i`` (k,), or with each one's ``j`` (k,); map axes.
+
+        Those of single landmarks and of linked ones come of one pass, whatever the size of the map.
+        """
+        if self.solution is None:
+            return np.zeros((len(i), 3, 3))
+        keys = self.solution.landmark_keys(0)
+        return self.solution.covariances([keys[k] for k in i], None if j is None else [keys[k] for k in j])
+
+    @cached_property
+    def straightened(self) -> LandmarkMap:
+        """The recorded map with positions and arm headings at its own optimum, for the matcher."""
+        of = headings_of(self.map)
+        moved = zip(self.map.landmarks, self.positions.tolist(), self.headings.tolist(), strict=True)
+        landmarks = (
+            _moved(landmark, x, y, 0.0 if isnan(heading) else heading - (of[landmark.id] or 0.0))
+            for landmark, (x, y), heading in moved
+        )
+        return self.map.replace(landmarks=tuple(landmarks))
 
     @cached_property
     def headed(self) -> NDArray[np.bool_]:
@@ -99,9 +132,9 @@ class PreparedMap:
 
         The circular median over all readings, so that steel near one of them does not turn the map.
         """
-        off, noise = [], self.map.noise
+        off, noise, of = [], self.map.noise, headings_of(self.map)
         for k, landmark in enumerate(self.map.landmarks):
-            shift = self.headings[k] - (heading_of(landmark) or 0.0) if self.headed[k] else 0.0
+            shift = self.headings[k] - (of[landmark.id] or 0.0) if self.headed[k] else 0.0
             for link in landmark.links:
                 if link.compass is not None and link.heading is not None:
                     off.append(link.heading + shift - link.compass)
@@ -120,57 +153,88 @@ class PreparedMap:
         return centre, float(np.hypot(sigma, noise.heading_sigma / np.sqrt(len(angles))))
 
 
+def _moved(landmark: Landmark, x: float, y: float, turn: float) -> Landmark:
+    """The landmark at another place, it and its arms turned [rad]."""
+    links = tuple(
+        link
+        if link.heading is None
+        else Link(
+            link.type,
+            turned(link.heading + turn),
+            link.compass,
+            link.connected_to_id,
+            link.distance,
+            link.travel_counter,
+            link.extra,
+        )
+        for link in landmark.links
+    )
+    heading = None if landmark.heading is None else turned(landmark.heading + turn)
+    return replace(landmark, x=x, y=y, links=links, heading=heading)
+
+
 def _arms(map_: LandmarkMap, headings: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Directions of all arms, whether a corridor goes on there, and whether the robot travelled it."""
-    directions = np.full((len(map_), ARMS), np.nan)
+    recorded = np.full((len(map_), ARMS), np.nan)
     passable = np.zeros((len(map_), ARMS), dtype=bool)
     travelled = np.zeros((len(map_), ARMS), dtype=bool)
+    own = np.zeros(len(map_))
+    of, signatures = headings_of(map_), signatures_of(map_)
     for k, landmark in enumerate(map_.landmarks):
-        arms = signature(landmark)
-        if arms.heading is not None:
-            turned = np.array(arms.headings) + headings[k] - arms.heading
-            directions[k, : len(turned)] = se2.wrap(turned)
-            passable[k, : len(turned)] = arms.passable
+        arms = signatures[landmark.id]
+        if arms.headings:
+            n, own[k] = len(arms.headings), of[landmark.id]
+            recorded[k, :n], passable[k, :n] = arms.headings, arms.passable
             links = [landmark.links[place] for place in arms.links]
-            travelled[k, : len(turned)] = [l.connected_to_id is not None and l.distance is not None for l in links]
-    return directions, passable, travelled
+            travelled[k, :n] = [l.connected_to_id is not None and l.distance is not None for l in links]
+    return np.asarray(se2.wrap(recorded + headings[:, None] - own[:, None])), passable, travelled
 
 
-def _corridors(map_: LandmarkMap, positions: Array, directions: Array, angle: float) -> NDArray[np.intp]:
+def _corridors(map_: LandmarkMap, positions: Array, headings: Array, angle: float) -> NDArray[np.intp]:
     """Pairs of landmarks joined by a link that goes straight: along an arm at every end that has one."""
     found: set[tuple[int, int]] = set()
     bent: set[tuple[int, int]] = set()
-    for k, landmark in enumerate(map_.landmarks):
-        shift = directions[k] - (heading_of(landmark) or 0.0)
+    of, xy = headings_of(map_), positions.tolist()
+    for k, (landmark, heading) in enumerate(zip(map_.landmarks, headings.tolist(), strict=True)):
+        shift = heading - (of[landmark.id] or 0.0)
         for link in landmark.links:
             other = map_.index_from_id.get(link.connected_to_id or "")
             if other is None or other == k or link.heading is None:
                 continue
-            pair = (min(k, other), max(k, other))
-            step = positions[other] - positions[k]
-            off = se2.wrap(np.arctan2(step[1], step[0]) - link.heading - shift)
-            straight = not is_bent(map_, landmark, link) and (abs(off) < angle or np.hypot(*step) < 1.0)
-            (found if straight else bent).add(pair)
+            dx, dy = xy[other][0] - xy[k][0], xy[other][1] - xy[k][1]
+            off = wrapped(atan2(dy, dx) - link.heading - shift)
+            straight = (abs(off) < angle or hypot(dx, dy) < 1.0) and not is_bent(map_, landmark, link)
+            (found if straight else bent).add((min(k, other), max(k, other)))
     return np.array(sorted(found - bent), dtype=np.intp).reshape(-1, 2)
 
 
-def prepare(map_: LandmarkMap, config: SolvingConfig, corridor_angle: float = np.deg2rad(20.0)) -> PreparedMap:
+def _too_large(map_: LandmarkMap) -> str:
+    return (
+        f"map {map_.name!r} has {len(map_)} landmarks; joint covariances are kept up to {MAX_LANDMARKS}: "
+        "split the map, or fuse parts of it"
+    )
+
+
+def prepare(
+    map_: LandmarkMap,
+    config: SolvingConfig,
+    corridor_angle: float = np.deg2rad(20.0),
+    *,
+    max_landmarks: int = MAX_LANDMARKS,
+) -> PreparedMap:
     """Straighten a map and work out what comparing it needs.
 
-    Raises `TooLargeError` above `MAX_LANDMARKS`, `UndeterminedError` where its measurements leave a landmark open.
+    Raises `TooLargeError` above ``max_landmarks``, `UndeterminedError` where its measurements leave a landmark open.
     """
-    if len(map_) > MAX_LANDMARKS:
-        raise TooLargeError(
-            f"map {map_.name!r} has {len(map_)} landmarks; joint covariances are kept up to {MAX_LANDMARKS}: "
-            "split the map, or fuse parts of it"
-        )
-    headed = np.array([heading_of(landmark) is not None for landmark in map_.landmarks], dtype=bool)
-    if len(map_) == 0:
-        poses, covariance = np.zeros((0, 3)), np.zeros((0, 0))
-    else:
-        solution = solve(single_map_problem(map_), config)
-        poses, covariance = solution.landmark_poses(0), solution.landmark_covariance(0)
+    if len(map_) > max_landmarks:
+        raise TooLargeError(_too_large(map_))
+    of = headings_of(map_)
+    headed = np.array([of[name] is not None for name in map_.ids], dtype=bool)
+    solution = solve(single_map_problem(map_), config) if len(map_) else None
+    poses = np.zeros((0, 3)) if solution is None else solution.landmark_poses(0)
+    if solution is not None:
+        solution.check_determined()
     headings = np.where(headed, poses[:, 2], np.nan)
     directions, passable, travelled = _arms(map_, poses[:, 2])
     corridors = _corridors(map_, poses[:, :2], headings, corridor_angle)
-    return PreparedMap(map_, poses[:, :2], headings, covariance, directions, passable, travelled, corridors)
+    return PreparedMap(map_, poses[:, :2], headings, solution, directions, passable, travelled, corridors)

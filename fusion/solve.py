@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,28 +11,33 @@ from typing import Any
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_solve, cholesky
-from scipy.sparse import csr_array
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.errors import MapfuseError, TooLargeError, UndeterminedError
+from mapfuse.datasets.errors import MapfuseError, UndeterminedError
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import Correspondence, FrameKey, Gauge, LandmarkKey, Problem, Unknown
-from mapfuse.factors.axes import pose_rotations, pose_to_axes
+from mapfuse.factors.axes import pose_to_axes
+from mapfuse.factors.keys import map_keys
 
 from .config import SolvingConfig, chi2_gate
+from .covariance import Linearised, Marginals, SingularError
 
 Array = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
-#: The joint covariance is kept dense; a problem with more unknown poses than this is refused.
-MAX_UNKNOWNS = 5000
 #: A solution counts as an optimum when the next Gauss-Newton step moves no unknown by more than this [m, rad].
 CONVERGED_STEP = 1e-6
-#: A pivot of the information matrix that is less than this share of its diagonal is rounding: nothing is measured.
-SINGULAR = 1e-13
+#: Over more than this [m] a rotation's last digits move landmarks by more; steps may stop shrinking that much earlier.
+LEVER_M = 100.0
+#: A Gauss-Newton step may raise the error [nats] by so much, which is rounding.
+LEVEL = 1e-6
+#: Turns between landmarks' headings follow from how the frames lie; frames that turned more than this [rad] since are
+#: looked at again.
+TURNED = 1e-3
+#: From this share of correspondences beyond the gate on, the optimum of all of them is no place to start from.
+MANY = 0.25
 MAX_RESTARTS = 10
-MAX_POLISHING = 8
+MAX_STEPS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,7 @@ class Solution:
     problem: Problem
     poses: dict[Unknown, Array]
     iterations: int
+    linearised: Linearised
     rejected: tuple[Correspondence, ...] = ()
 
     @cached_property
@@ -54,53 +60,45 @@ class Solution:
         return float(sum(np.sum(m.residual(self.poses) ** 2) for m in self.problem.measurements))
 
     @cached_property
-    def _order(self) -> dict[Unknown, int]:
-        """Column block of each unknown in the Jacobian: GTSAM sorts by key."""
-        keys = sorted(self.problem.keys.key(unknown) for unknown in self.problem.keys)
-        return {self.problem.keys.unknown(key): k for k, key in enumerate(keys)}
+    def _place(self) -> dict[Unknown, int]:
+        """Place of each unknown in the linearised graph: GTSAM sorts by key."""
+        return {unknown: k for k, unknown in enumerate(self.problem.keys.in_order)}
 
     @cached_property
-    def _covariance(self) -> Array:
-        """Joint covariance of all unknowns in the axes of the merged frame, (3u, 3u).
-
-        Given the frames that the gauge holds: what keeps the solver from floating is no uncertainty, and over the
-        lever from a map's coordinate origin to its landmarks it would grow to one.
+    def _marginals(self) -> Marginals:
+        """Covariances in the axes of the merged frame, given the frames that the gauge holds: what keeps the solver
+        from floating is no uncertainty, and over the lever from a map's coordinate origin to its landmarks it would
+        grow to one.
         """
-        unknowns = len(self._order)
-        if unknowns > MAX_UNKNOWNS:
-            raise TooLargeError(f"joint covariance of {unknowns} poses; it is kept up to {MAX_UNKNOWNS}")
-        linear = self.problem.graph().linearize(self.problem.values(self.poses))
-        H = information(linear, 3 * unknowns)
-        held = {gauge.of for gauge in self.problem.of_kind(Gauge)}
-        free = np.repeat([unknown not in held for unknown in self._order], 3)
         try:
-            L = cholesky(H[np.ix_(free, free)], lower=True)
-        except LinAlgError:
-            raise _undetermined(self.problem, self.poses) from None
-        # rounding may leave a pivot where nothing is measured
-        if np.min(np.diag(L) ** 2 / np.diag(H)[free], initial=1.0) < SINGULAR:
-            raise _undetermined(self.problem, self.poses)
-        thetas = np.array([self.poses[unknown][2] for unknown in self._order])
-        J = np.zeros((3 * unknowns, 3 * unknowns))
-        blocks = np.arange(unknowns)
-        J.reshape(unknowns, 3, unknowns, 3)[blocks, :, blocks, :] = pose_rotations(thetas)
-        covariance = np.zeros_like(H)
-        covariance[np.ix_(free, free)] = J[np.ix_(free, free)] @ cho_solve((L, True), J[np.ix_(free, free)].T)
-        return (covariance + covariance.T) / 2
+            return Marginals(self.linearised)
+        except SingularError as error:
+            unknowns = self.problem.keys.in_order
+            raise _undetermined(self.problem, [unknowns[k] for k in error.loose]) from None
+
+    def check_determined(self) -> None:
+        """Raises `UndeterminedError` naming the landmarks that the measurements leave open."""
+        _ = self._marginals
 
     def joint_covariance(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (3k, 3k) of k unknowns over (x, y, theta) each, axes of the merged frame.
 
-        Raises `UndeterminedError` naming the landmarks that the measurements leave open.
+        Raises `UndeterminedError` naming the landmarks that the measurements leave open, `TooLargeError` for more
+        than `covariance.MAX_JOINT` unknowns.
         """
-        columns = np.array([3 * self._order[u] + row for u in unknowns for row in range(3)], dtype=np.intp)
-        return self._covariance[np.ix_(columns, columns)]
+        return self._marginals.joint([self._place[u] for u in unknowns])
+
+    def covariances(self, unknowns: Sequence[Unknown], others: Sequence[Unknown] | None = None) -> Array:
+        """Covariance (k, 3, 3) of each of k unknowns, or cross covariance of each with one of ``others``.
+
+        Those of all landmarks at once cost little more than those of one.
+        """
+        also = None if others is None else [self._place[u] for u in others]
+        return self._marginals.blocks([self._place[u] for u in unknowns], also)
 
     def covariance(self, a: Unknown, b: Unknown | None = None) -> Array:
         """Covariance (3, 3) of an unknown, or cross covariance of two; axes of the merged frame."""
-        row = 3 * self._order[a]
-        column = row if b is None else 3 * self._order[b]
-        return self._covariance[row : row + 3, column : column + 3]
+        return np.asarray(self.covariances([a], None if b is None else [b])[0])
 
     def transform(self, r: int) -> Transform:
         """Pose of map r's frame in the merged frame with its covariance: T12 for the second of two maps."""
@@ -112,7 +110,8 @@ class Solution:
 
     def landmark_keys(self, r: int) -> tuple[LandmarkKey, ...]:
         """Keys of map r's landmarks, in the map's order."""
-        return tuple(LandmarkKey(r, identifier) for identifier in self.problem.maps[r].ids)
+        keys = map_keys(self.problem.maps[r], r).landmarks
+        return tuple(keys[identifier] for identifier in self.problem.maps[r].ids)
 
     def landmark_poses(self, r: int) -> Array:
         """Poses (n, 3) of map r's landmarks in the merged frame, in the map's order."""
@@ -123,58 +122,101 @@ class Solution:
         return self.joint_covariance(self.landmark_keys(r))
 
 
-def information(linear: Any, size: int) -> Array:
-    """Information matrix J'J (size, size) of a linearised graph, unknowns sorted by key."""
-    rows, columns, values = np.asarray(linear.sparseJacobian_())
-    rows, columns = rows.astype(np.intp) - 1, columns.astype(np.intp) - 1
-    kept = columns < size  # the last column is the right-hand side
-    J = csr_array((values[kept], (rows[kept], columns[kept])), shape=(int(rows.max()) + 1, size))
-    dense: Array = (J.T @ J).toarray()
-    return dense
+def _optimum(problem: Problem) -> Solution:
+    """The optimum nearby, to the last step: Gauss-Newton, and Levenberg-Marquardt where that doesn't descend.
 
-
-def _optimise(problem: Problem, exact: bool = True) -> tuple[dict[Unknown, Array], int]:
-    """Levenberg-Marquardt, then, where ``exact``, Gauss-Newton steps to the very optimum.
-
-    LM may report success after a small decrease far from the optimum, and covariances there are worth nothing.
+    Levenberg-Marquardt alone may report success after a small decrease far from the optimum, and covariances there
+    are worth nothing.
     """
     graph, values = problem.graph(), problem.values()
-    params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(200)
-    params.setRelativeErrorTol(1e-10)
-    params.setAbsoluteErrorTol(1e-10)
-    iterations, largest = 0, np.inf
+    order = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
+    extent = np.abs(gtsam.utilities.extractPose2(values)[:, :2]).max()
+    rounding = CONVERGED_STEP * max(1.0, float(extent) / LEVER_M)
+    iterations = 0
     try:
         for _ in range(MAX_RESTARTS):
-            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
-            values = optimizer.optimize()
-            iterations += optimizer.iterations()
-            if not exact:
+            values, steps, last = _gauss_newton(graph, values, order, rounding)
+            iterations += steps
+            if last < rounding:
                 break
-            for _ in range(MAX_POLISHING):
-                step = graph.linearize(values).optimize()
-                largest = max(float(np.abs(step.at(unknown)).max()) for unknown in values.keys())  # noqa: SIM118
-                further = values.retract(step)
-                if largest > 1.0 or graph.error(further) > graph.error(values) + 1e-6:
-                    break
-                values, iterations = further, iterations + 1
-                if largest < CONVERGED_STEP:
-                    break
-            if largest < CONVERGED_STEP:
-                break
+            values, steps = _levenberg_marquardt(graph, values, 1e-10)
+            iterations += steps
         else:
-            log.warning("optimum not reached: the last step was still %.2g", largest)
+            log.warning("optimum not reached: the last step was still %.2g", last)
     except RuntimeError as error:
-        raise _undetermined(problem, problem.initial, str(error)) from None
+        raise _indeterminate(problem, graph, order, str(error)) from None
+    return Solution(problem, _finite_poses(problem, values), iterations, _linearised(problem, graph, values, order))
+
+
+def _gauss_newton(graph: Any, values: Any, order: Any, rounding: float) -> tuple[Any, int, float]:
+    """Steps while the error doesn't rise; the poses, how many, and the largest number of the last step.
+
+    Below ``rounding`` [m, rad] a step that is no shorter than half of the one before is the last.
+    """
+    error, steps, largest = graph.error(values), 0, np.inf
+    for _ in range(MAX_STEPS):
+        step = graph.linearize(values).optimize(order)
+        further = values.retract(step)
+        after = graph.error(further)
+        if not after <= error + LEVEL:
+            return values, steps, np.inf
+        values, error, steps = further, after, steps + 1
+        before, largest = largest, float(np.abs(step.vector()).max(initial=0.0))
+        if largest < CONVERGED_STEP or (largest < rounding and largest > before / 2):
+            break
+    return values, steps, largest
+
+
+def _levenberg_marquardt(graph: Any, values: Any, tolerance: float) -> tuple[Any, int]:
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(200)
+    params.setRelativeErrorTol(tolerance)
+    params.setAbsoluteErrorTol(tolerance)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
+    return optimizer.optimize(), optimizer.iterations()
+
+
+def _robust_optimum(problem: Problem) -> dict[Unknown, Array]:
+    """Poses that most of the correspondences agree on: a place to start from, no more."""
+    graph = problem.graph()
+    try:
+        values, _ = _levenberg_marquardt(graph, problem.values(), 1e-4)
+    except RuntimeError as error:
+        order = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
+        raise _indeterminate(problem, graph, order, str(error)) from None
+    return _finite_poses(problem, values)
+
+
+def _finite_poses(problem: Problem, values: Any) -> dict[Unknown, Array]:
     poses = problem.poses(values)
     if not all(np.isfinite(pose).all() for pose in poses.values()):
         raise MapfuseError("the solver left finite numbers; the maps' noise or positions are out of proportion")
-    return poses, iterations
+    return poses
 
 
-def _undetermined(problem: Problem, poses: Mapping[Unknown, Array], message: str = "") -> UndeterminedError:
+def _linearised(problem: Problem, graph: Any, values: Any, order: Any) -> Linearised:
+    unknowns = problem.keys.in_order
+    held = {gauge.of for gauge in problem.of_kind(Gauge)}
+    free = np.array([unknown not in held for unknown in unknowns], dtype=bool)
+    poses = problem.poses(values)
+    thetas = np.array([poses[unknown][2] for unknown in unknowns])
+    return Linearised.of(graph.linearize(values), order, problem.keys.keys(unknowns), free, thetas)
+
+
+def _indeterminate(problem: Problem, graph: Any, order: Any, message: str) -> UndeterminedError:
+    """What GTSAM gave up: names the landmarks that nothing holds, failing that those in its message."""
+    held = _linearised(problem, graph, problem.values(), order)
+    try:
+        Marginals(replace(held, free=np.ones_like(held.free)))
+    except SingularError as error:
+        unknowns = problem.keys.in_order
+        return _undetermined(problem, [unknowns[k] for k in error.loose], message)
+    return _undetermined(problem, (), message)
+
+
+def _undetermined(problem: Problem, loose: Iterable[Unknown], message: str = "") -> UndeterminedError:
     """Names the landmarks that move along directions which nothing measures; failing that, those in GTSAM's message."""
-    found = [unknown for unknown in _open(problem, poses) if isinstance(unknown, LandmarkKey)]
+    found = [unknown for unknown in loose if isinstance(unknown, LandmarkKey)]
     if found:
         reason = "the measurements leave open where these are"
     else:
@@ -183,63 +225,89 @@ def _undetermined(problem: Problem, poses: Mapping[Unknown, Array], message: str
     return UndeterminedError(reason, tuple((problem.maps[u.map].name, u.id) for u in found))
 
 
-def _open(problem: Problem, poses: Mapping[Unknown, Array]) -> list[Unknown]:
-    """The unknowns that may move at no cost: where the null vectors of the information matrix, scaled to a diagonal
-    of ones, are not zero."""
-    order = sorted(problem.keys, key=problem.keys.key)
-    if len(order) > MAX_UNKNOWNS:
-        return []
-    H = information(problem.graph().linearize(problem.values(poses)), 3 * len(order))
-    scale = 1 / np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
-    values, vectors = np.linalg.eigh(H * scale * scale[:, None])
-    loose = (vectors[:, values < SINGULAR] * scale[:, None]).reshape(len(order), -1)
-    moved = np.linalg.norm(loose, axis=1)
-    return [unknown for unknown, by in zip(order, moved, strict=True) if by > 0.01 * moved.max(initial=0.0)]
-
-
-def _solved(problem: Problem) -> Solution:
-    poses, iterations = _optimise(problem)
-    return Solution(problem, poses, iterations)
-
-
 def left_out(solution: Solution, match: Correspondence) -> float:
-    """Squared Mahalanobis distance of a correspondence from what all other measurements predict.
+    """`all_left_out` of one correspondence."""
+    return float(all_left_out(solution, [match])[0])
+
+
+def all_left_out(solution: Solution, matches: Sequence[Correspondence]) -> Array:
+    """Squared Mahalanobis distance (k,) of each correspondence from what all other measurements predict.
 
     With r its residual at the optimum, R its noise and S the posterior covariance of what it measures, that is
     ``r' (R - S)^-1 r``: the residual of a tight measurement says little by itself, since it pulls the optimum along.
     """
-    a, b = match.unknowns
-    moved = solution.covariance(a) + solution.covariance(b) - solution.covariance(a, b) - solution.covariance(b, a)
-    T_a, T_b = solution.poses[a], solution.poses[b]
-    r = np.append(T_b[:2] - T_a[:2], se2.wrap(T_b[2] - T_a[2] - match.measured[2]))
-    rows = slice(0, match.dof)
-    n = match.noise
-    square_root = np.array([[n.xx, n.xy, 0], [0, n.yy, 0], [0, 0, n.tt or 1.0]])
-    R = pose_to_axes(T_b[2], np.linalg.inv(square_root.T @ square_root))
-    free = (R - moved)[rows, rows]
-    return float(r[rows] @ np.linalg.solve(free, r[rows]))
+    a, b = [m.a for m in matches], [m.b for m in matches]
+    cross = solution.covariances(a, b)
+    moved = solution.covariances(a) + solution.covariances(b) - cross - np.swapaxes(cross, 1, 2)
+    poses_a, poses_b = (np.array([solution.poses[u] for u in side]).reshape(-1, 3) for side in (a, b))
+    r = poses_b - poses_a
+    r[:, 2] = se2.wrap(r[:, 2] - [m.measured[2] for m in matches])
+    square_root = np.array([((n.xx, n.xy, 0), (0, n.yy, 0), (0, 0, n.tt or 1.0)) for n in (m.noise for m in matches)])
+    square_root = square_root.reshape(-1, 3, 3)
+    R = pose_to_axes(poses_b[:, 2], np.linalg.inv(np.swapaxes(square_root, 1, 2) @ square_root))
+    free = R - moved
+    without_heading = np.array([m.dof < 3 for m in matches], dtype=bool)
+    r[without_heading, 2] = 0
+    free[without_heading, 2, :] = free[without_heading, :, 2] = (0, 0, 1)
+    return np.asarray(np.einsum("ki,ki->k", r, np.linalg.solve(free, r[:, :, None])[..., 0]))
 
 
 def solve(problem: Problem, config: SolvingConfig) -> Solution:
     """Solve a problem; correspondences under a robust loss are gated, and the accepted ones solved as plain Gaussian.
 
-    The robust optimum is the starting point. Then, one by one, the correspondence that disagrees most with all
-    the rest is taken out, while it lies beyond the chi-square gate, and the rest is solved again.
+    One by one, the correspondence that disagrees most with all the rest is taken out, while it lies beyond the
+    chi-square gate, and the rest is solved again. Where many disagree at first the optimum of all may be far from the
+    right one: the robust optimum is then the starting point.
 
     Raises `UndeterminedError` naming the landmarks concerned where the measurements leave something open.
     """
+    doubted = any(m.loss is not None for m in problem.of_kind(Correspondence))
+    trusted = _trusted(problem) if doubted else problem
+    solution = _optimum(trusted)
+    if doubted:
+        solution = _turned(trusted, solution)
+    excess = _excess(solution, config)
+    if doubted and len(excess) and np.mean(excess > 1) > MANY:
+        solution = _optimum(_matched_again(problem.starting_at(_robust_optimum(problem))))
+        excess = _excess(solution, config)
     rejected: list[Correspondence] = []
-    if any(m.loss is not None for m in problem.of_kind(Correspondence)):
-        poses, _ = _optimise(problem, exact=False)
-        problem = problem.starting_at(poses).with_correspondences(m.pair for m in problem.of_kind(Correspondence))
-    solution = _solved(problem)
-    while matches := problem.of_kind(Correspondence):
-        excess = [left_out(solution, m) / chi2_gate(config.gate_probability, m.dof) for m in matches]
-        worst = int(np.argmax(excess))
-        if excess[worst] <= 1 or len(matches) < 3:
-            break
-        rejected.append(matches[worst])
-        kept = [m for m in problem.measurements if m is not matches[worst]]
-        problem = problem.starting_at(solution.poses).with_measurements(kept)
-        solution = _solved(problem)
+    while excess.max(initial=0.0) > 1:
+        worst = solution.problem.of_kind(Correspondence)[int(np.argmax(excess))]
+        rejected.append(worst)
+        kept = [m for m in solution.problem.measurements if m is not worst]
+        solution = _optimum(solution.problem.starting_at(solution.poses).with_measurements(kept))
+        excess = _excess(solution, config)
     return replace(solution, rejected=tuple(rejected))
+
+
+def _trusted(problem: Problem) -> Problem:
+    """The problem with its correspondences plain."""
+    plain = [replace(m, loss=None) if isinstance(m, Correspondence) else m for m in problem.measurements]
+    return problem.with_measurements(plain)
+
+
+def _matched_again(problem: Problem) -> Problem:
+    """The problem with plain correspondences as they follow from how its frames lie."""
+    return problem.with_correspondences(m.pair for m in problem.of_kind(Correspondence))
+
+
+def _turned(problem: Problem, solution: Solution) -> Solution:
+    """Solved again where the frames turned on the way to the optimum, and with them which arms meet."""
+    frames = [FrameKey(r) for r in range(len(problem.maps))]
+    turns = [abs(se2.wrap(solution.poses[T][2] - problem.initial[T][2])) for T in frames]
+    if max(turns) < TURNED:
+        return solution
+    again = _matched_again(problem.starting_at(solution.poses))
+    return solution if again.measurements == problem.measurements else _optimum(again)
+
+
+def _excess(solution: Solution, config: SolvingConfig) -> Array:
+    """How far each correspondence disagrees with all the rest, by the gate's distance (k,).
+
+    0 of fewer than three: either of two may be the wrong one.
+    """
+    matches = solution.problem.of_kind(Correspondence)
+    if len(matches) < 3:
+        return np.zeros(len(matches))
+    dof = np.array([m.dof for m in matches])
+    return np.asarray(all_left_out(solution, matches) / chi2_gate(config.gate_probability, dof))

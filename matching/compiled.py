@@ -36,11 +36,11 @@ def kernel(function: Function) -> Function:
 
 
 @cache
-def kernels(name: str = "_kernels") -> ModuleType:
-    """The module ``matching/<name>.py``; says once that it will be compiled, if it isn't on disk yet."""
-    module = import_module(f"{__package__}.{name}")
+def kernels(name: str = "_kernels", package: str | None = __package__, what: str = "the matcher") -> ModuleType:
+    """The module ``name`` of a package; says once that ``what`` will be compiled, if it isn't on disk yet."""
+    module = import_module(f"{package}.{name}")
     if not _is_on_disk(module):
-        log.warning("compiling the matcher for this machine, once; it takes some seconds")
+        log.warning("compiling %s for this machine, once; it takes some seconds", what)
     return module
 
 

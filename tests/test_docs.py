@@ -10,14 +10,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, vonmises
 
 from mapfuse.datasets import Landmark, LandmarkMap, Link, Noise, Transform, read_map, recordings
-from mapfuse.fusion import coverage, decide, elastic, evidence, existence, growth
+from mapfuse.factors import correspondence
+from mapfuse.fusion import coverage, decide, evidence, existence, growth, passing, regularity, repetition
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
-from mapfuse.fusion.elastic import ArmOverlay, Joined
-from mapfuse.fusion.growth import PRIOR_SIGMA, Growth
+from mapfuse.fusion.elastic import Joined
+from mapfuse.fusion.growth import Growth
 from mapfuse.fusion.pair import fuse_pair
 from mapfuse.fusion.pairresult import mixture
 from mapfuse.fusion.prepared import prepare
@@ -78,13 +79,11 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
     m1 = prepare(straight_corridor("one", noise1, 0.0, door=7.0, detections=2), SolvingConfig())
     m2 = prepare(straight_corridor("two", noise2, 5.0, door=19.0, detections=1), SolvingConfig())
     T12, pairs = np.array([-5.0, 0.0, 0.0]), np.arange(3)
-    overlay = ArmOverlay.at(m1, m2, 0.0)
-    joined = Joined(m1, m2, T12, overlay, pairs, pairs, PRIOR_SIGMA)
+    joined = Joined(m1, m2, T12, pairs, pairs)
     config = EvidenceConfig()
     weighed = evidence.weigh(Growth(joined, 1), Background(m1, m2), config)
 
-    # less a metre at either end of both links, within which nothing counts as passed
-    length, between_ends = 24.0, (15.0 - 2) + (9.0 - 2)
+    length = 24.0
     fa1, fa2, door_fa1, door_fa2 = 0.2**2, 0.1, 0.05**2, 0.03
     spatial, door = (1 - fa1) / 0.8 + (1 - fa2) / 0.7, ((1 - door_fa1) / 0.9, (1 - door_fa2) / 0.85)
     nu = {"corner": 2 * spatial / 48, "junction": spatial / 48, "door": sum(door) / 48}
@@ -100,9 +99,9 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
         "prior": np.log(length / (2 * length * length)) - config.look_elsewhere,
         "matches": detections + clutter + densities,
         "points": 0.0,
-        "junctions": -2 * config.junction_discount,
+        "regular": 0.0,
         "misses": np.log(1 - (1 - door_fa1) * 0.85) + np.log(1 - (1 - door_fa2) * 0.9),
-        "void": between_ends * ((nu["corner"] + nu["junction"]) * 0.8 * 0.7 + nu["door"] * 0.9 * 0.85),
+        "void": length * ((nu["corner"] + nu["junction"]) * 0.8 * 0.7 + nu["door"] * 0.9 * 0.85),
         "arms": 0.0,
         "compass": 0.0,
         "known": 0.0,
@@ -137,8 +136,7 @@ def straight_corridor(name, noise, start, door, detections):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("end_margin", [0.0, 0.7])
-def test_overlap_is_the_union_of_what_covers_each_link_averaged_over_the_two_maps(end_margin):
+def test_overlap_is_the_union_of_what_covers_each_link_averaged_over_the_two_maps():
     """Against counting the points of a fine grid, on one line, the landmarks of the two maps interleaving."""
     rng, step = np.random.default_rng(5), 0.002
     for _ in range(20):
@@ -148,14 +146,12 @@ def test_overlap_is_the_union_of_what_covers_each_link_averaged_over_the_two_map
 
         def covered(own, others):
             inside = np.arange(own.min(), own.max(), step)
-            covers = [
-                (inside > min(a, b) + end_margin) & (inside < max(a, b) - end_margin) for a, b in pairwise(others)
-            ]
+            covers = [(inside > min(a, b)) & (inside < max(a, b)) for a, b in pairwise(others)]
             return np.any(covers, axis=0).sum() * step
 
         s1, s2 = (coverage.Segments(*(np.column_stack([e, 0 * e]) for e in (v[:-1], v[1:]))) for v in (ends1, ends2))
         expected = (covered(ends1, ends2) + covered(ends2, ends1)) / 2
-        assert coverage.overlap_length(s1, s2, 1.0, 0.3, end_margin) == pytest.approx(expected, abs=0.02)
+        assert coverage.overlap_length(s1, s2, 1.0, 0.3) == pytest.approx(expected, abs=0.02)
 
 
 # The prior, the compass ----------------------------------------------------------------------------------------------
@@ -173,12 +169,16 @@ def test_prior_along_corridors_integrates_to_1():
     assert np.trapezoid(density, shifts) == pytest.approx(1, abs=1e-3)
 
 
-def test_compass_is_a_density_against_uniform_rotation_with_a_floor():
+def test_compass_is_a_density_against_that_of_other_buildings_with_a_floor():
     m1, m2 = SimpleNamespace(north=(0.4, 0.12)), SimpleNamespace(north=(-2.9, 0.2))
     rotations = np.linspace(-np.pi, np.pi, 4001)
     ratio = np.exp([evidence._compass(m1, m2, float(theta)) for theta in rotations])
-    assert np.trapezoid(ratio, rotations) / (2 * np.pi) == pytest.approx(1, abs=1e-6)
-    assert np.log(ratio.min()) == pytest.approx(np.log(0.003), abs=1e-6)
+    # other buildings: half of them stand on one street grid, at any multiple of a quarter turn, half anyhow
+    quarters = 0.4 + 2.9 + np.arange(4) * np.pi / 2
+    grid = vonmises(kappa=1 / (0.12**2 + 0.2**2)).pdf(rotations[:, None] - quarters).mean(axis=1)
+    others = 0.5 * grid + 0.5 / (2 * np.pi)
+    assert np.trapezoid(ratio * others, rotations) == pytest.approx(1, abs=0.02)
+    assert np.log(ratio.min()) == pytest.approx(np.log(0.003 / (0.5 + 0.5 * 2 * np.pi * grid.max())), abs=0.1)
     assert evidence._compass(m1, SimpleNamespace(north=None), 1.0) == 0
 
 
@@ -206,9 +206,7 @@ def test_each_pair_given_all_others_is_what_these_predict(floor):
     innovation, V = joined.leave_one_out()
     for k in range(len(joined.i)):
         others = np.arange(len(joined.i)) != k
-        rest = Joined(
-            joined.m1, joined.m2, joined.T0, joined.arms, joined.i[others], joined.j[others], joined.prior_sigma
-        )
+        rest = Joined(joined.m1, joined.m2, joined.T0, joined.i[others], joined.j[others])
         predicted, covariance = rest.predict(joined.i[[k]], joined.j[[k]])
         assert np.allclose(predicted[0], innovation[k], atol=1e-6)
         assert np.allclose(covariance[0], V[k], rtol=1e-6, atol=1e-8)
@@ -229,7 +227,7 @@ def test_alias_is_a_ratio_of_distributions_and_at_least_a_half():
     mean = 0.0
     for recorded in product([True, False], repeat=len(q)):
         seen = np.array(recorded)
-        alias = evidence._alias(q[seen], q[~seen])
+        alias = repetition.alias(repetition.lacking_odds(q[seen], q[~seen]))
         assert alias > np.log(0.5) - 1e-12
         mean += np.prod(np.where(seen, q, 1 - q)) * np.exp(alias)
     assert mean == pytest.approx(1, abs=1e-12)
@@ -238,16 +236,16 @@ def test_alias_is_a_ratio_of_distributions_and_at_least_a_half():
 def test_repetition_rule_as_stated():
     config = EvidenceConfig()
     plain = EvidenceConfig(repetition_rate=0.0)
-    S, c = np.array([20.0, 17.0]), np.zeros(2)
-    assert decide.posterior(S, c, plain, 0.5)[0] == pytest.approx(0.95, abs=0.005)
-    assert decide.posterior(S, c, config, 0.5)[0] == pytest.approx(0.5, abs=1e-4)
+    S, alias = np.array([20.0, 17.0]), np.zeros(2)
+    assert decide.posterior(S, alias, plain, 0.5)[0] == pytest.approx(0.95, abs=0.005)
+    assert decide.posterior(S, alias, config, 0.5)[0] == pytest.approx(0.5, abs=1e-3)
 
-    S, c = np.array([9.0, 3.0, 6.0]), np.array([0.3, 1.0, -4.0])
-    rho, tau, overlap = config.repetition_rate, config.repetition_odds, 0.3
-    repeats = rho / (rho + (1 - rho) * np.exp(-(S - tau)))
-    weights = (1 - repeats) * np.exp(S) + repeats * np.exp(S[0] + c - c[0])
-    weights = np.array([np.exp(S[0]), *weights[1:], (1 - overlap) / overlap])
-    assert np.allclose(decide.posterior(S, c, config, overlap), weights / weights.sum(), rtol=1e-9)
+    S, alias, overlap = np.array([9.0, 3.0, 6.0]), np.array([0.3, 1.0, -4.0]), 0.3
+    odds = config.repetition_rate / (1 - config.repetition_rate) * np.exp(-config.repetition_odds)
+    # a rival is right and the best one its image, or the best one right and the rival its image, or neither an image
+    rival = np.exp(S) * (1 + odds * np.exp(S[0] + alias[0])) / (1 + odds * np.exp(S + alias))
+    weights = np.array([np.exp(S[0]), *rival[1:], (1 - overlap) / overlap])
+    assert np.allclose(decide.posterior(S, alias, config, overlap), weights / weights.sum(), rtol=1e-9)
 
 
 # Existence, covariance over hypotheses -------------------------------------------------------------------------------
@@ -295,7 +293,8 @@ def test_mixture_covariance_is_that_of_draws_from_themixture():
 
 def test_every_number_stands_as_in_the_code():
     stated = re.findall(r"^\| `(\w+)` \| ([\d., ]+) \|", EVIDENCE, flags=re.MULTILINE)
-    places = (EvidenceConfig(), DecisionConfig(), SolvingConfig(), evidence, coverage, existence, elastic, growth)
+    modules = (evidence, existence, correspondence, growth, passing, regularity, repetition)
+    places = (EvidenceConfig(), DecisionConfig(), SolvingConfig(), *modules)
     for name, value in stated:
         found = [getattr(place, name) for place in places if hasattr(place, name)]
         assert found, f"docs/evidence.md names {name}, which isn't there"
@@ -343,7 +342,7 @@ def test_what_the_code_cites_is_there():
     assert cited
     assert all((ROOT / path).exists() for path in cited)
     assert "### Elastic match" in EVIDENCE
-    assert "**The repetition rule.**" in EVIDENCE
+    assert "**The repetition rule**" in EVIDENCE
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "notebooks").glob("*.py")), ids=lambda path: path.stem)

@@ -17,14 +17,17 @@ odds = st.floats(-200, 200)
 
 
 def probabilities(log_odds, contradiction=None, *, prior=0.5, **evidence):
+    """Of hypotheses with these odds; ``contradiction``: the log odds of being the right place, not an alias of it."""
     log_odds = np.array(log_odds, dtype=float)
     contradiction = np.zeros(len(log_odds)) if contradiction is None else np.array(contradiction, dtype=float)
-    return posterior(log_odds, contradiction, EvidenceConfig(**evidence), prior)
+    return posterior(log_odds, -contradiction, EvidenceConfig(**evidence), prior)
 
 
-def weighed(log_odds, contradiction=0.0):
-    """A stand-in for a weighed hypothesis: only these two are asked for."""
-    return SimpleNamespace(log_odds=log_odds, contradiction=contradiction)
+def decided(hypotheses, config=DECISION):
+    """The verdict on hypotheses, each a number of nats, or that and its contradiction."""
+    pairs = [h if isinstance(h, tuple) else (h, 0.0) for h in hypotheses]
+    weighed = [SimpleNamespace(log_odds=odds) for odds, _ in pairs]
+    return decide(weighed, -np.array([contradiction for _, contradiction in pairs]), EVIDENCE, config)
 
 
 def test_one_hypothesis_against_none_is_bayes():
@@ -106,16 +109,16 @@ def test_a_higher_prior_for_overlap_raises_every_hypothesis(log_odds):
 def test_decisions_at_the_threshold():
     accept = DecisionConfig(accept=0.95)
     edge = float(np.log(0.95 / 0.05))
-    assert decide([weighed(edge + 1e-9)], EVIDENCE, accept).decision == "merged"
-    assert decide([weighed(edge - 1e-9)], EVIDENCE, accept).decision == "ambiguous"
-    assert decide([weighed(0.0)], EVIDENCE, accept).decision == "ambiguous"
-    assert decide([weighed(-edge + 1e-9)], EVIDENCE, accept).decision == "ambiguous"
-    assert decide([weighed(-edge - 1e-9)], EVIDENCE, accept).decision == "no_overlap"
-    assert decide([weighed(300.0)], EVIDENCE, DecisionConfig(accept=1.0)).decision == "merged"  # 1 to the last bit
+    assert decided([edge + 1e-9], accept).decision == "merged"
+    assert decided([edge - 1e-9], accept).decision == "ambiguous"
+    assert decided([0.0], accept).decision == "ambiguous"
+    assert decided([-edge + 1e-9], accept).decision == "ambiguous"
+    assert decided([-edge - 1e-9], accept).decision == "no_overlap"
+    assert decided([300.0], DecisionConfig(accept=1.0)).decision == "merged"  # 1 to the last bit
 
 
 def test_rivals_that_cannot_be_told_apart_are_ambiguous_and_ranked():
-    found = decide([weighed(10.0), weighed(30.0), weighed(29.0, -0.5)], EVIDENCE, DECISION)
+    found = decided([10.0, 30.0, (29.0, -0.5)])
     assert found.decision == "ambiguous"
     assert found.ranked[0].log_odds == 30.0
     assert (np.diff(found.probabilities) <= 0).all()
@@ -123,12 +126,12 @@ def test_rivals_that_cannot_be_told_apart_are_ambiguous_and_ranked():
 
 
 def test_the_ranking_follows_the_probabilities_even_against_the_odds():
-    found = decide([weighed(40.0, -9.0), weighed(30.0, 0.0)], EVIDENCE, DECISION)
+    found = decided([(40.0, -9.0), 30.0])
     assert [w.log_odds for w in found.ranked] == [30.0, 40.0]
     assert found.decision == "merged"
 
 
 def test_nothing_to_decide_is_no_overlap():
-    found = decide([], EVIDENCE, DECISION)
+    found = decided([])
     assert (found.decision, found.no_overlap, found.ranked) == ("no_overlap", 1.0, ())
     assert found.probabilities.shape == (0,)

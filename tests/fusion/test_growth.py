@@ -11,7 +11,8 @@ from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.fusion.config import SolvingConfig
-from mapfuse.fusion.growth import _one_to_one, compatible, grow
+from mapfuse.fusion.elastic import growth_kernels
+from mapfuse.fusion.growth import compatible, grow
 from mapfuse.fusion.prepared import prepare
 from mapfuse.matching import propose
 
@@ -136,7 +137,7 @@ def test_one_to_one_is_the_best_choice_of_all():
         table = rng.uniform(0.1, 5.0, (4, 5))
         given = rng.random((4, 5)) < 0.6
         i, j = np.nonzero(given)
-        chosen = _one_to_one(i, j, table[i, j])
+        chosen = growth_kernels().one_to_one(i, j, table[i, j], 4, 5)
         assert len(set(i[chosen])) == len(set(j[chosen])) == chosen.sum()
         padded = np.where(given, table, 0.0)
         best = max(sum(padded[k, c] for k, c in enumerate(columns)) for columns in itertools.permutations(range(5), 4))

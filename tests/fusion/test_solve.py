@@ -24,7 +24,7 @@ from mapfuse.factors import (
     pair_problem,
     single_map_problem,
 )
-from mapfuse.fusion import solve as solve_module
+from mapfuse.fusion import covariance as covariance_module
 from mapfuse.fusion.config import SolvingConfig, chi2_gate
 from mapfuse.fusion.solve import left_out, solve
 
@@ -321,9 +321,10 @@ def test_the_whole_graph_floats_without_its_gauge():
 
 def test_a_joint_covariance_of_too_many_unknowns_is_refused(monkeypatch):
     solution = solve(single_map_problem(points("m", [(0.0, 0.0), (3.0, 0.0)])), CONFIG)
-    monkeypatch.setattr(solve_module, "MAX_UNKNOWNS", 2)
+    monkeypatch.setattr(covariance_module, "MAX_JOINT", 2)
     with pytest.raises(TooLargeError, match="3 poses"):
-        solution.covariance(FrameKey(0))
+        solution.joint_covariance([FrameKey(0), *solution.landmark_keys(0)])
+    assert solution.landmark_covariance(0).shape == (6, 6)
 
 
 @pytest.mark.parametrize("travels", [1, 4])

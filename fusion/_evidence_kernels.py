@@ -1,0 +1,255 @@
+"""The loops of weighing a hypothesis, compiled: who passed what, how much corridor is common, in which order matches
+are come upon.
+
+Import through `mapfuse.matching.compiled.kernels` only. Corridors are straight, travelled links; docs/evidence.md has
+the formulas.
+"""
+
+from __future__ import annotations
+
+from heapq import heappop, heappush
+
+import numpy as np
+
+from mapfuse.matching.compiled import kernel
+
+TWO_PI = 2 * np.pi
+# A link shorter than this [m] has no direction to speak of.
+SHORT_M = 0.5
+
+
+@kernel
+def passes(points, start, end, width, margin):
+    """Which segments (start, end) pass which points: lateral offset below ``width`` [m], inside the ends by
+    ``margin`` [m]; (points, segments)."""
+    out = np.zeros((len(points), len(start)), np.bool_)
+    for s in range(len(start)):
+        dx, dy = end[s, 0] - start[s, 0], end[s, 1] - start[s, 1]
+        length = np.hypot(dx, dy)
+        dx, dy = dx / max(length, 1e-9), dy / max(length, 1e-9)
+        for p in range(len(points)):
+            x, y = points[p, 0] - start[s, 0], points[p, 1] - start[s, 1]
+            along, across = x * dx + y * dy, y * dx - x * dy
+            out[p, s] = margin < along < length - margin and abs(across) < width
+    return out
+
+
+@kernel
+def covered(start1, end1, start2, end2, width, cosine):
+    """Length [m] of the segments 1 that lies alongside one of 2: within ``width`` [m], parallel to ``cosine``."""
+    total = 0.0
+    low, high = np.empty(len(start2)), np.empty(len(start2))
+    for a in range(len(start1)):
+        dx, dy = end1[a, 0] - start1[a, 0], end1[a, 1] - start1[a, 1]
+        length = np.hypot(dx, dy)
+        dx, dy = dx / max(length, 1e-9), dy / max(length, 1e-9)
+        found = 0
+        for b in range(len(start2)):
+            sx, sy = start2[b, 0] - start1[a, 0], start2[b, 1] - start1[a, 1]
+            ex, ey = end2[b, 0] - start1[a, 0], end2[b, 1] - start1[a, 1]
+            s, e = sx * dx + sy * dy, ex * dx + ey * dy
+            other = np.hypot(ex - sx, ey - sy)
+            parallel = abs(e - s) / max(other, 1e-9)
+            if parallel <= cosine:
+                continue
+            first = min(max(min(s, e), 0.0), length)
+            last = min(max(s, e, 0.0), length)
+            if last <= first:
+                continue
+            # across at the middle of the stretch that lies alongside
+            share = ((first + last) / 2 - s) / (e - s) if abs(e - s) > 1e-9 else 0.5
+            mx, my = sx + share * (ex - sx), sy + share * (ey - sy)
+            if abs(my * dx - mx * dy) < width:
+                low[found], high[found] = first, last
+                found += 1
+        order = np.argsort(low[:found])
+        reach = -np.inf
+        for k in order:
+            total += max(high[k] - max(low[k], reach), 0.0)
+            reach = max(reach, high[k])
+    return total
+
+
+@kernel
+def blocked_ways(by, arm, passable, turn, start, end, angle):
+    """How many blocked arms of passed landmarks point along the other robot's way, within ``angle`` [rad].
+
+    ``by`` (n, segments): which segments pass which landmark; ``turn`` [rad]: of the arms' map in the segments' frame.
+    """
+    count = 0
+    for s in range(len(start)):
+        way = np.arctan2(end[s, 1] - start[s, 1], end[s, 0] - start[s, 0])
+        for k in range(len(by)):
+            if not by[k, s]:
+                continue
+            ahead = behind = False
+            for a in range(arm.shape[1]):
+                if np.isnan(arm[k, a]) or passable[k, a]:
+                    continue
+                off = abs((arm[k, a] + turn - way + np.pi) % TWO_PI - np.pi)
+                ahead |= off < angle
+                behind |= np.pi - off < angle
+            count += ahead
+            count += behind
+    return count
+
+
+@kernel
+def nearest(xy, of, to):
+    """Place in ``of`` of the landmark whose distance to any of ``to`` is least."""
+    best, distance = 0, np.inf
+    for a in range(len(of)):
+        for b in range(len(to)):
+            x, y = xy[of[a], 0] - xy[to[b], 0], xy[of[a], 1] - xy[to[b], 1]
+            if x * x + y * y < distance:
+                best, distance = a, x * x + y * y
+    return best
+
+
+@kernel
+def arrival(xy, arm, passable, node, before, earlier):
+    """Direction (2,) of the corridor by which ``node`` was come upon: from ``before`` (-1: nowhere), else along the arm
+    that points most to the nearest of the ``earlier`` landmarks; NaN where none does."""
+    out = np.full(2, np.nan)
+    if before >= 0:
+        step = xy[node] - xy[before]
+        length = np.hypot(step[0], step[1])
+        if length > SHORT_M:
+            return step / length
+    if not len(earlier):
+        return out
+    here = np.empty(1, np.intp)
+    here[0] = node
+    to = earlier[nearest(xy, earlier, here)]
+    off, largest = xy[node] - xy[to], -1.0
+    for a in range(arm.shape[1]):
+        if passable[node, a] and not np.isnan(arm[node, a]):
+            x, y = np.cos(arm[node, a]), np.sin(arm[node, a])
+            if abs(x * off[0] + y * off[1]) > largest:
+                largest = abs(x * off[0] + y * off[1])
+                out[0], out[1] = x, y
+    return out
+
+
+@kernel
+def adjacency(n, corridors):
+    """Neighbours of each landmark along corridors: those of k are ``neighbour[begin[k]:begin[k + 1]]``."""
+    begin, neighbour = np.zeros(n + 1, np.intp), np.empty(2 * len(corridors), np.intp)
+    for c in range(len(corridors)):
+        begin[corridors[c, 0] + 1] += 1
+        begin[corridors[c, 1] + 1] += 1
+    begin = np.cumsum(begin)
+    fill = begin[:-1].copy()
+    for c in range(len(corridors)):
+        a, b = corridors[c, 0], corridors[c, 1]
+        neighbour[fill[a]], neighbour[fill[b]] = b, a
+        fill[a] += 1
+        fill[b] += 1
+    return begin, neighbour
+
+
+@kernel
+def visited(xy, corridors, arm, passable, matched):
+    """Order in which ``matched`` landmarks (k,) are come upon along the corridors (m, 2), as places in ``matched``,
+    and the direction (k, 2) by which each is."""
+    n, k = len(xy), len(matched)
+    begin, neighbour = adjacency(n, corridors)
+    place = np.full(n, -1, np.intp)
+    place[matched] = np.arange(k)
+    order, direction = np.empty(k, np.intp), np.empty((k, 2))
+    middle = np.array([xy[matched, 0].mean(), xy[matched, 1].mean()])
+    done_all = 0
+    while done_all < k:
+        remaining = np.sort(matched[place[matched] >= 0])
+        if done_all:
+            first = remaining[nearest(xy, remaining, matched[order[:done_all]])]
+        else:
+            off = xy[remaining] - middle
+            first = remaining[np.argmin(off[:, 0] ** 2 + off[:, 1] ** 2)]
+        queue = [(0.0, first, -1)]
+        done = np.zeros(n, np.bool_)
+        while queue:
+            distance, node, before = heappop(queue)
+            if done[node]:
+                continue
+            done[node] = True
+            if place[node] >= 0:
+                order[done_all] = place[node]
+                direction[done_all] = arrival(xy, arm, passable, node, before, matched[order[:done_all]])
+                place[node] = -1
+                done_all += 1
+                distance = 0.0
+            for c in range(begin[node], begin[node + 1]):
+                other = neighbour[c]
+                if not done[other]:
+                    step = np.hypot(xy[other, 0] - xy[node, 0], xy[other, 1] - xy[node, 1])
+                    heappush(queue, (distance + step, other, node))
+    return order, direction
+
+
+@kernel
+def gaps(xy, corridors, reach, cosine):
+    """What is come upon along straight corridors: from landmark a to b at ``distance`` [m], up to ``reach``; and how
+    far one could go on straight from each landmark in each direction it was left by (a, metres)."""
+    n = len(xy)
+    begin, neighbour = adjacency(n, corridors)
+    ends, distances = [(0, 0)][:0], [0.0][:0]
+    origin, exposure = [0][:0], [0.0][:0]
+    for a in range(n):
+        for c in range(begin[a], begin[a + 1]):
+            before, node, travelled = a, neighbour[c], 0.0
+            first = xy[node] - xy[a]
+            length = np.hypot(first[0], first[1])
+            if length < SHORT_M:
+                continue
+            while True:
+                step = xy[node] - xy[before]
+                travelled += np.hypot(step[0], step[1])
+                if travelled > reach:
+                    break
+                ends.append((a, node))
+                distances.append(travelled)
+                following = -1
+                for d in range(begin[node], begin[node + 1]):
+                    other = xy[neighbour[d]] - xy[node]
+                    far = np.hypot(other[0], other[1])
+                    if far > SHORT_M and (other @ first) > cosine * far * length:
+                        following = neighbour[d]
+                if following < 0:
+                    break
+                before, node = node, following
+            origin.append(a)
+            exposure.append(min(travelled, reach))
+    pairs = np.empty((len(ends), 2), np.intp)
+    for k in range(len(ends)):
+        pairs[k, 0], pairs[k, 1] = ends[k]
+    return pairs, np.array(distances), np.array(origin, dtype=np.intp), np.array(exposure)
+
+
+@kernel
+def apart(distance, at, period):
+    """By how much two distances differ [m], whole periods (0: there are none) apart or not."""
+    off = abs(distance - at)
+    if period > 0:
+        off = off % period
+        off = min(off, period - off)
+    return off
+
+
+@kernel
+def times_met(pairs, distances, origin, exposure, start, label, a, b, at, tolerance, period, own):
+    """How often in one map a landmark of label b stands ``at`` [m], or whole periods [m] from there, from one whose
+    ``start`` is a along a straight corridor, and how often it could; the gap between the two ``own`` isn't counted."""
+    met = 0
+    for k in range(len(pairs)):
+        p, q = pairs[k, 0], pairs[k, 1]
+        mine = (p == own[0] and q == own[1]) or (p == own[1] and q == own[0])
+        if start[p] == a and label[q] == b and not mine and apart(distances[k], at, period) < tolerance:
+            met += 1
+    could = 0
+    first = at % period if period > 0 else at
+    for k in range(len(origin)):
+        beyond = exposure[k] - first + tolerance
+        if start[origin[k]] == a and beyond > 0:
+            could += 1 + int(beyond / period) if period > 0 else 1
+    return met, could

@@ -1,0 +1,113 @@
+"""What matches are worth: how much closer matched landmarks lie than landmarks of two places would by chance.
+
+Along corridors only the residual along the corridor counts, given the matches before; point landmarks count in the
+plane (docs/evidence.md, "Why one dimension along corridors").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets import se2
+
+from .background import Background
+from .elastic import PRIOR_SIGMA, Joined, growth_kernels
+from .prepared import PreparedMap
+from .regularity import evidence_kernels
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+def corridor_matches(joined: Joined, background: Background, angle: float) -> tuple[float, float]:
+    """Matched corridor landmarks [nats]: density of the residual along the corridor, given those before; and what a
+    regular building takes off that. Corridors go straight on within ``angle`` [rad].
+
+    The order and the corridors are those of either map; the mean of both, so that neither map is the first.
+    """
+    on = np.flatnonzero(~background.points1[joined.i] & ~background.points2[joined.j])
+    if not len(on):
+        return 0.0, 0.0
+    i, j = joined.i[on], joined.j[on]
+    worth = background.there1[i] + background.there2[j] - np.log(background.rates1[i])
+    worth = worth + np.where(joined.arms.coincide[on] >= 2, background.ways1[i], 0.0)
+    if len(on) == 1:  # it is what places map 2: its density is the prior of T12
+        return float(worth[0]), 0.0
+    densities, regular = 0.0, 0.0
+    bent = joined.corrected()[0]
+    for m, matched, turn in ((joined.m1, i, 0.0), (joined.m2, j, float(joined.T12[2]))):
+        order, along = _visits(m, matched, turn)
+        density, along = _along(joined, on[order], along)
+        rate = background.rates1[i[order]]
+        at = bent[i[order]]
+        share = background.regularity(angle).shares(i[order], j[order], at, along, rate)
+        densities += float(density[1:].sum()) / 2
+        regular -= float(np.log1p(share * np.exp(density) / rate)[1:].sum()) / 2
+    return float(worth.sum()) + densities, regular
+
+
+def _visits(m: PreparedMap, matched: Index, turn: float) -> tuple[Index, Array]:
+    """Order in which matched landmarks are come upon along a map's corridors, and the direction by which each is, as
+    seen in a frame in which the map is turned by ``turn`` [rad]; NaN where no corridor leads there.
+
+    Each stretch of corridor is followed from the landmark nearest to what was visited before, the first one from the
+    middle.
+    """
+    order, along = evidence_kernels().visited(m.positions, m.corridors, m.arm_headings, m.arm_passable, matched)
+    return order, along @ se2.rotation(turn).T
+
+
+def _along(joined: Joined, order: Index, along: Array) -> tuple[Array, Array]:
+    """Log density [nats per m] of each residual along its direction (k, 2) in frame 1, given those before; and the
+    directions, the least known one where there was none."""
+    innovation, V = _in_order(joined, order)
+    lost = np.isnan(along).any(axis=1)
+    if lost.any():
+        along = along.copy()
+        along[lost] = np.linalg.eigh(V[lost, :2, :2])[1][:, :, 1]
+    ax, ay = along.T
+    u = ax * innovation[:, 0] + ay * innovation[:, 1]
+    v = ax * ax * V[:, 0, 0] + 2 * ax * ay * V[:, 0, 1] + ay * ay * V[:, 1, 1]
+    return -0.5 * u * u / v - 0.5 * np.log(2 * np.pi * v), along
+
+
+def _in_order(joined: Joined, order: Index) -> tuple[Array, Array]:
+    """Innovation (k, 3) and covariance (k, 3, 3) of each of the pairs ``order`` given those before it."""
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    found: tuple[Array, Array] = growth_kernels().given_before(joined.covariance[np.ix_(rows, rows)], joined.r[rows])
+    return found
+
+
+def point_matches(joined: Joined, background: Background) -> float:
+    """Matched point landmarks [nats]: density of the residual in the plane, given the corridor landmarks and those
+    before."""
+    is_point = background.points1[joined.i] & background.points2[joined.j]
+    if not is_point.any():
+        return 0.0
+    order = np.concatenate([np.flatnonzero(~is_point), np.flatnonzero(is_point)])
+    first = int((~is_point).sum())
+    density, _ = growth_kernels().densities(*_in_order(joined, order))
+    i, j = joined.i[order[first:]], joined.j[order[first:]]
+    worth = background.there1[i] + background.there2[j] - np.log(background.rates1[i])
+    return float((density[first:] + worth).sum())
+
+
+def corridor_prior(background: Background, overlap: float) -> float:
+    """Density of T12 before looking [nats per m], where corridors lie on corridors along ``overlap`` [m].
+
+    A random stretch of corridor 1 lies on a random stretch of corridor 2, in one of two directions.
+    """
+    lengths = [max(m.corridor_length, 1.0) for m in (background.m1, background.m2)]
+    return float(np.log(max(overlap, 1.0) / (2 * lengths[0] * lengths[1])))
+
+
+def point_prior(background: Background) -> float:
+    """Density of T12 before looking [nats], where only points place map 2.
+
+    Uniform over the turns and over the shifts that let the two seen areas touch, in place of the wide normal prior
+    under which the residuals were weighed.
+    """
+    extent = sum(float(np.sqrt(max(area.area(), 1.0) / np.pi)) for area in (background.area1, background.area2))
+    wide = float(np.log(2 * np.pi) * 1.5 + np.log(PRIOR_SIGMA).sum())
+    return wide - float(np.log(np.pi * extent**2 * 2 * np.pi))

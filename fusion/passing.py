@@ -1,0 +1,85 @@
+"""Who passed what: what two robots did not see of each other's maps, and how much both travelled.
+
+A landmark of one map that lies where the other robot travelled, and isn't in its map, is a miss; a blocked arm through
+which it drove contradicts; emptiness that both agree on speaks for an overlap (docs/evidence.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .background import Background
+from .config import EvidenceConfig
+from .coverage import Segments, overlap_length, passed
+from .regularity import evidence_kernels
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: A blocked arm of a landmark this close [m] to the end of a link isn't driven through: the link may turn there.
+END_MARGIN_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """Who passed what: places of unmatched landmarks that the other robot passed, and blocked arms driven through.
+
+    ``overlap`` [m]: corridor that both travelled; ``area_overlap`` [m^2]: where both would have seen points.
+    """
+
+    missed1: Index
+    missed2: Index
+    blocked: int
+    overlap: float
+    area_overlap: float
+
+
+def passing_at(
+    T12: Array,
+    placed: tuple[Array, Array],
+    matched: tuple[Index, Index],
+    background: Background,
+    config: EvidenceConfig,
+) -> Passing:
+    """What each robot passed of the other's map, map 2 lying at ``T12`` (3,).
+
+    ``placed``: where the landmarks of both maps then are, (n1, 2) and (n2, 2) in frame 1; ``matched``: places of those
+    that are the same.
+    """
+    m1, m2 = background.m1, background.m2
+    p1, p2 = placed
+    width, angle = config.corridor_width_m, float(np.deg2rad(config.corridor_angle_deg))
+    s1, s2 = Segments.of(m1, p1), Segments.of(m2, p2)
+    through = evidence_kernels().blocked_ways
+    inside1, inside2 = passed(p2, s1, width, END_MARGIN_M), passed(p1, s2, width, END_MARGIN_M)
+    blocked = through(inside1, m2.arm_headings, m2.arm_passable, float(T12[2]), s1.start, s1.end, angle)
+    blocked += through(inside2, m1.arm_headings, m1.arm_passable, 0.0, s2.start, s2.end, angle)
+    by1: NDArray[np.bool_] = np.asarray(passed(p2, s1, width).any(axis=1))
+    by2: NDArray[np.bool_] = np.asarray(passed(p1, s2, width).any(axis=1))
+    area_overlap = 0.0
+    if background.points1.any() or background.points2.any():
+        # where both have a landmark of another kind the place was recorded, only differently
+        moved = background.area2.moved(T12)
+        by1 = np.asarray(np.where(background.points2, background.area1.contains(p2), by1))
+        by2 = np.asarray(np.where(background.points1, moved.contains(p1), by2))
+        area_overlap = background.area1.area(moved)
+    by2[matched[0]], by1[matched[1]] = False, False
+    overlap = overlap_length(s1, s2, width, angle)
+    return Passing(np.flatnonzero(by2), np.flatnonzero(by1), blocked, overlap, area_overlap)
+
+
+def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float]:
+    """Misses, void and arms [nats]: what is said by what two robots did not see of each other's maps."""
+    misses = np.log1p(-background.recorded1[way.missed1]).sum() + np.log1p(-background.recorded2[way.missed2]).sum()
+    void = background.common * way.overlap
+    if way.area_overlap:
+        void += background.area_common * way.area_overlap
+    return float(misses), float(void), per_arm(config) * way.blocked
+
+
+def per_arm(config: EvidenceConfig) -> float:
+    """What an arm that contradicts takes off [nats]."""
+    return float(np.log(config.arm_error_rate / 0.5))

@@ -1,0 +1,175 @@
+"""How regularly a building is laid out: what a place on its grid tells less than a place anywhere.
+
+Landmarks of corridors are no Poisson process. Junctions stand on the lines of other corridors, and in buildings of one
+pitch everything stands at the same few distances from what is before it. Two different buildings of one style agree
+there for nothing, so a match at such a place is measured against a higher density (docs/evidence.md, "Regular
+buildings").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import rel_entr
+
+from mapfuse.datasets.maps import SPATIAL_TYPES
+from mapfuse.matching.compiled import kernels
+
+from .prepared import PreparedMap
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: Distances [m] along a corridor up to which landmarks are taken to stand in a rhythm.
+REACH_M = 25.0
+#: Two distances are the same to within this [m] and this share of them.
+SAME_DISTANCE_M, SAME_DISTANCE_SHARE = 0.5, 0.03
+#: Share of the places where a corridor's line crosses another corridor at which a corner or junction stands.
+ON_A_LINE = 0.5
+#: Landmarks on one line through a corridor are at most this far from it [m].
+LINE_WIDTH_M = 1.0
+#: Pitches [m] that are tried: from, below, step. One is believed where multiples of it stand out by so many nats.
+PITCHES_M = (4.0, 15.0, 0.1)
+PITCH_ODDS = 10.0
+#: Exposures that are added to those seen, so that one repeated distance is no rhythm.
+DOUBT = 2.0
+
+
+def evidence_kernels() -> ModuleType:
+    """The compiled loops (`_evidence_kernels`)."""
+    return kernels("_evidence_kernels", __package__, "what weighs a hypothesis")
+
+
+@dataclass(frozen=True, eq=False)
+class Gaps:
+    """Distances along one map's straight corridors: from landmark to landmark (g, 2), ``distance`` (g,) [m]; and from
+    which landmarks (e,) how far, ``exposure`` (e,) [m], one could have come upon something.
+
+    ``label`` (n,): of the map's landmarks; ``spatial`` (n,): which are corners or junctions.
+    """
+
+    pairs: Index
+    distance: Array
+    origin: Index
+    exposure: Array
+    label: Index
+    spatial: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, m: PreparedMap, label: Index, angle: float) -> Gaps:
+        """Of a map whose landmarks have ``label`` (n,); corridors go straight on within ``angle`` [rad]."""
+        spatial = np.array([name in SPATIAL_TYPES for name in m.map.types], dtype=bool)
+        pairs, distance, origin, exposure = evidence_kernels().gaps(
+            m.positions, m.corridors, REACH_M, float(np.cos(angle))
+        )
+        return cls(pairs, distance, origin, exposure, label, spatial)
+
+    @cached_property
+    def start(self) -> Index:
+        """What a landmark is as a place to start from (n,): all corners and junctions are alike."""
+        return np.where(self.spatial, -1, self.label)
+
+    @cached_property
+    def between_spatial(self) -> Array:
+        """Distances (k,) [m] between corners and junctions along a straight corridor, each once."""
+        a, b = self.pairs.T
+        return np.asarray(self.distance[self.spatial[a] & self.spatial[b] & (a < b)])
+
+    def met(self, a: int, b: int, at: float, period: float, own: tuple[int, int]) -> tuple[int, int]:
+        """How often b stands ``at`` [m] from a, and how often it could; the gap ``own`` left out."""
+        found: tuple[int, int] = evidence_kernels().times_met(
+            self.pairs,
+            self.distance,
+            self.origin,
+            self.exposure,
+            self.start,
+            self.label,
+            a,
+            b,
+            at,
+            same_distance(at),
+            period,
+            own,
+        )
+        return found
+
+
+def same_distance(distance: float) -> float:
+    """By how much [m] two distances like this one may differ and be the same."""
+    return SAME_DISTANCE_M + SAME_DISTANCE_SHARE * distance
+
+
+def pitch_of(distances: Array) -> float:
+    """The pitch [m] of which the distances (k,) between corners and junctions are multiples, or 0 where there is none.
+
+    The one for which the share of multiples stands out most against chance, by its log likelihood ratio; it must be
+    `PITCH_ODDS` nats.
+    """
+    if not len(distances):
+        return 0.0
+    pitches = np.arange(*PITCHES_M)
+    steps = np.maximum(np.round(distances / pitches[:, None]), 1.0)
+    tolerance = SAME_DISTANCE_M + SAME_DISTANCE_SHARE * distances
+    share = (np.abs(distances - steps * pitches[:, None]) < tolerance).mean(axis=1)
+    chance = np.minimum(2 * tolerance.mean() / pitches, 0.999)
+    odds = len(distances) * (rel_entr(share, chance) + rel_entr(1 - share, 1 - chance))
+    best = int(np.argmax(np.where(share > chance, odds, -np.inf)))
+    return float(pitches[best]) if share[best] > chance[best] and odds[best] > PITCH_ODDS else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Regularity:
+    """Of two maps together: how surely something stands where a match stands, whichever buildings these are."""
+
+    gaps1: Gaps
+    gaps2: Gaps
+
+    @cached_property
+    def pitch(self) -> float:
+        """Pitch [m] of both maps' corridors, or 0."""
+        return pitch_of(np.concatenate([self.gaps1.between_spatial, self.gaps2.between_spatial]))
+
+    def shares(self, i: Index, j: Index, at: Array, along: Array, rate: Array) -> Array:
+        """Share (k,) of other buildings of this style that have a landmark of match k's label where it stands.
+
+        Matches (i, j) in the order in which they are come upon, standing ``at`` (k, 2) [m], each come upon in the
+        direction ``along`` (k, 2); ``rate`` (k,) [1/m]: how common its label is anywhere.
+        """
+        out = np.zeros(len(i))
+        spatial = self.gaps1.spatial[i]
+        offset = at[:, None, :] - at[None, :, :]
+        forward = np.abs(np.einsum("kmd,kd->km", offset, along))
+        aside = np.abs(offset[..., 1] * along[:, None, 0] - offset[..., 0] * along[:, None, 1])
+        for k in range(1, len(i)):
+            if np.isnan(along[k]).any():
+                continue
+            ahead, beside = forward[k, :k], aside[k, :k]
+            # on a grid of one pitch any corner tells where the others are, elsewhere only those of the same corridor
+            before = (beside < LINE_WIDTH_M) & (ahead > LINE_WIDTH_M)
+            if self.pitch:
+                before = spatial[:k] if spatial[:k].any() else np.ones(k, dtype=bool)
+            if before.any():
+                m = int(np.argmin(np.where(before, ahead + beside, np.inf)))
+                out[k] = self._rhythm((i[m], i[k]), (j[m], j[k]), float(ahead[m]), float(rate[k]))
+            crossing = (ahead < LINE_WIDTH_M) & (beside > LINE_WIDTH_M) & spatial[:k]
+            if spatial[k] and crossing.any():
+                out[k] = max(out[k], ON_A_LINE)
+        return out
+
+    def _rhythm(self, pair1: tuple[int, int], pair2: tuple[int, int], at: float, rate: float) -> float:
+        """Share of landmarks like the first one that have one like the second ``at`` [m] from them, beyond chance."""
+        if at > REACH_M and not self.pitch:
+            return 0.0
+        a, b = self.gaps1.start[pair1[0]], self.gaps1.label[pair1[1]]
+        met1, could1 = self.gaps1.met(a, b, at, self.pitch, pair1)
+        met2, could2 = self.gaps2.met(a, b, at, self.pitch, pair2)
+        could = could1 + could2
+        if self.pitch:
+            return float((met1 + met2) / (could + DOUBT))
+        by_chance = could * rate * 2 * same_distance(at)
+        surplus = met1 + met2 - by_chance - np.sqrt(by_chance)
+        return float(max(surplus, 0.0) / (could + DOUBT))
