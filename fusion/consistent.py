@@ -42,8 +42,9 @@ FAINT = 25.0
 HOPELESS = 15.0
 #: How often a choice is made again to give overruled pairs their chance.
 MAX_APPEALS = 20
-#: Overruled pairs that are heard before the best of them is followed: those that may win most.
-APPEALS_AT_ONCE = 8
+#: Overruled pairs that are heard before the best of them is followed, those that may win most: so many, and fewer
+#: where there are so many maps that each takes long.
+APPEALS_AT_ONCE, APPEALS_TIMES_MAPS = 8, 400
 #: Placements that differ by more [m, m, rad] are not looked at as the same, whatever their covariances.
 COARSE = np.array([20.0, 20.0, 0.8])
 #: Placements of a leg that a cycle is looked for among.
@@ -140,7 +141,7 @@ def choose(
     best, first = chooser.run(ordered, ()), tuple[Pair, ...]()
     for _ in range(MAX_APPEALS):
         agreement = best.agreement(comparisons)
-        heard = chooser.unheard(best)[:APPEALS_AT_ONCE]
+        heard = chooser.unheard(best)[: max(1, min(APPEALS_AT_ONCE, APPEALS_TIMES_MAPS // max(len(ordered), 1)))]
         appeals = [(pair, chooser.run(ordered, (*first, pair))) for pair in heard]
         pair, other = max(appeals, key=lambda item: item[1].agreement(comparisons), default=(None, best))
         if pair is None or other.agreement(comparisons) <= agreement + 1e-9:

@@ -17,7 +17,7 @@ from .ledger import Done
 #: Jobs on their way per thread of the cluster: one at work, one waiting beside it.
 AHEAD = 2
 #: How long [s] a scheduler may take to answer, and its first worker to come.
-PATIENCE = 30
+PATIENCE = 20
 
 
 class DaskEngine:
