@@ -3,8 +3,7 @@
 What is distinctive in a map are triangles of near neighbours: the labels of the three landmarks, the lengths between
 them, and which way their arms point. The triangles of all maps stand in one KD-tree. Two that are alike vote for the
 T12 that lays one map on the other, the rarer they are the more, and the votes for one T12 are what a pair is worth.
-A pair is tried where it is worth much, or something and more than most others of one of its maps. What is kept in
-memory is some 20 KB a map.
+A pair is tried where it is worth much, or something and more than most others of one of its maps.
 
 Measured: docs/batch.md.
 """
