@@ -7,6 +7,7 @@ from contextlib import closing
 import pytest
 
 from mapfuse.datasets.errors import MapfuseError
+from mapfuse.fusion.batch import cluster
 from mapfuse.fusion.batch.cluster import DaskEngine
 from mapfuse.fusion.batch.run import run_batch
 from mapfuse.fusion.config import FuseConfig
@@ -22,7 +23,8 @@ def test_a_folder_gives_the_same_bytes_on_dask(folder, tmp_path, fuse_folder, fi
     assert files_of(tmp_path / "dask") == files_of(tmp_path / "local")
 
 
-def test_no_scheduler_is_said():
+def test_no_scheduler_is_said(monkeypatch):
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     pytest.importorskip("distributed", reason="the extra [batch] isn't installed")
     with closing(DaskEngine("tcp://127.0.0.1:1", 1)) as engine, pytest.raises(MapfuseError, match="no scheduler"):
         list(engine.run(len, []))
