@@ -164,11 +164,9 @@ class Batch:
             if part_from_name[names[0]] == part_from_name[names[1]]:
                 inside.setdefault(found[part_from_name[names[0]]][0], []).append(names)
         prepared = _Prepared(lambda name: self._map(self._key_from_name[name]), self._settings)
-        with self.watch("choosing groups", len(self.file_from_name)) as advance:
-            for part in found:
-                if len(part) > 1:
-                    self._choose_part(part, {names: pair_from_names[names] for names in inside[part[0]]}, prepared)
-                advance(len(part))
+        for part in found:
+            if len(part) > 1:
+                self._choose_part(part, {names: pair_from_names[names] for names in inside[part[0]]}, prepared)
         self.groups.sort(key=lambda group: group.names)
         self.problems += [f"group of {', '.join(g.names)}: {g.error}" for g in self.groups if g.error is not None]
 
