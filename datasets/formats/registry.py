@@ -269,6 +269,23 @@ def split_part(path: str | Path) -> tuple[Path, str | None]:
     return (Path(stem), part) if mark and part and stem and not whole.exists() else (whole, None)
 
 
+def fitting(found: Format, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those options that a format has: of mapfuse's own none, whose files say all themselves.
+
+    >>> fitting(named("objects"), {"type": "tree", "position_sigma": 0.2, "corridors": "ways.geojson"})
+    {'type': 'tree', 'position_sigma': 0.2}
+    """
+    known = () if found is FORMATS[0] else (*found.options, *_NOISE)
+    return {name: value for name, value in options.items() if name in known}
+
+
+def check_options(options: Mapping[str, Any]) -> None:
+    """Raise `ConfigError` for an option that no format has."""
+    known = {name for one in FORMATS for name in one.options}.union(_NOISE)
+    if unknown := [name for name in options if name not in known]:
+        raise ConfigError(f"no format has an option {unknown[0]!r} (`mapfuse formats` lists them)")
+
+
 def read_all(path: str | Path, *, format: str | None = None, **options: Any) -> tuple[Reading, Format]:
     """Everything that a file (or ``FILE#PART``: one part of it) holds, and the format it was taken for.
 

@@ -53,14 +53,17 @@ def taken_for(found: Format, reading: Reading) -> str:
 
 
 def read_maps(paths: Sequence[Path], given: dict[str, str] | None = None, *, quiet: bool = False) -> list[LandmarkMap]:
-    """The maps of all files; raises `UsageError` with the errors of all, or where two maps have one name."""
+    """The maps of all files, of a result those that were fused.
+
+    Raises `UsageError` with the errors of all files, or where two maps have one name.
+    """
     from mapfuse.datasets.errors import MapfuseError
 
     maps: list[tuple[Path, LandmarkMap]] = []
     wrong: list[str] = []
     for path in paths:
         try:
-            maps += [(path, map_) for map_ in read(path, given, quiet=quiet).maps]
+            maps += [(path, map_) for map_ in _maps_in(path, given, quiet=quiet)]
         except MapfuseError as error:
             wrong.append(str(error))
     if wrong:
@@ -74,6 +77,16 @@ def read_maps(paths: Sequence[Path], given: dict[str, str] | None = None, *, qui
             )
         path_from_name[map_.name] = path
     return [map_ for _, map_ in maps]
+
+
+def _maps_in(path: Path, given: dict[str, str] | None, *, quiet: bool) -> tuple[LandmarkMap, ...]:
+    from mapfuse.datasets.errors import InputError
+
+    if (fused := fused_in(path)) is None:
+        return read(path, given, quiet=quiet).maps
+    if missing := [name for name in fused.maps if name not in fused.sources]:
+        raise InputError(path, f"doesn't carry the map {missing[0]!r} (it was written with --no-embed)")
+    return tuple(fused.sources[name] for name in fused.maps)
 
 
 def read_one(

@@ -27,6 +27,7 @@ from .console import (
 from .progress import stages
 
 if TYPE_CHECKING:
+    from mapfuse.datasets.maps import LandmarkMap
     from mapfuse.fusion import FuseConfig, FusedMap, KnownTransform
 
 
@@ -39,7 +40,14 @@ class Mode(StrEnum):
 
 def fuse_files(
     maps: Annotated[
-        list[Path], typer.Argument(help="Recorded maps, in any format that `mapfuse formats` lists.", metavar="MAP")
+        list[Path],
+        typer.Argument(
+            help=(
+                "Recorded maps, in any format that `mapfuse formats` lists, or results (NAME.fused.json), "
+                "for the maps in them."
+            ),
+            metavar="MAP",
+        ),
     ],
     *,
     output: Annotated[
@@ -58,6 +66,9 @@ def fuse_files(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result file on standard output.")] = False,
     no_embed: Annotated[bool, typer.Option("--no-embed", help="Leave the input maps out of the result file.")] = False,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", metavar="NAME", help="Leave out the map of this name; repeatable.")
+    ] = None,
     require_merge: Annotated[
         bool, typer.Option("--require-merge", help="Exit with 3 where not all maps were merged.")
     ] = False,
@@ -104,9 +115,7 @@ def fuse_files(
     check_outputs(outputs, [*maps, *([config] if config else [])])
     warn_on_stderr(verbose=verbose)
     settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise)
-    recorded = anymap.read_maps(maps, anymap.options(given or []), quiet=quiet)
-    if len(recorded) < 2:
-        raise UsageError("give at least two maps to fuse")
+    recorded = _left(anymap.read_maps(maps, anymap.options(given or []), quiet=quiet), without or ())
 
     from mapfuse.fusion import as_reference, fuse
 
@@ -158,6 +167,19 @@ def _settings(
     if mode is not None:
         settings = replace(settings, matching=replace(settings.matching, mode=mode.value))
     return settings
+
+
+def _left(maps: Sequence[LandmarkMap], without: Sequence[str]) -> list[LandmarkMap]:
+    """The maps that are not left out; raises `UsageError` for a name that none has, and where none is left."""
+    names = [m.name for m in maps]
+    if unknown := [name for name in without if name not in names]:
+        raise UsageError(f"--without {unknown[0]}: there is no such map; there are {', '.join(names)}")
+    if len(maps) < 2:
+        raise UsageError("give at least two maps to fuse")
+    left = [m for m in maps if m.name not in without]
+    if not left:
+        raise UsageError("--without leaves no map")
+    return left
 
 
 def _write(fused: FusedMap, outputs: Mapping[str, Path | None], *, as_json: bool, embed: bool, quiet: bool) -> None:
