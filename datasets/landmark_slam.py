@@ -191,7 +191,7 @@ def _descend(drive: Drive, poses: Array, landmarks: Array, until: float) -> _Sta
     error, damping, decrement = float(residuals @ residuals) / 2, 0.0, np.inf
     for _ in range(_MAX_ITERATIONS):
         gradient = jacobian.T @ residuals
-        step = -_factorised(jacobian, damping).solve(gradient)
+        step = -factorised(jacobian, damping).solve(gradient)
         if damping == 0:
             decrement = float(np.sqrt(max(0.0, -step @ gradient)))
             if decrement < until:
@@ -224,10 +224,10 @@ def _linearise(drive: Drive, poses: Array, landmarks: Array) -> tuple[Array, csr
 
     n, k, m = drive.pose_count, drive.landmark_count, len(drive.seen)
     here, there = np.zeros((n - 1, 3, 3)), np.zeros((n - 1, 3, 3))
-    here[:, :2], there[:, :2, :2] = _displacement_jacobians(poses[:-1, 2], moved[:, :2], drive.motion_sigmas[:, :2])
+    here[:, :2], there[:, :2, :2] = displacement_jacobians(poses[:-1, 2], moved[:, :2], drive.motion_sigmas[:, :2])
     there[:, 2, 2] = 1 / drive.motion_sigmas[:, 2]
     here[:, 2, 2] = -there[:, 2, 2]
-    by_pose, by_landmark = _displacement_jacobians(poses[drive.seen_from, 2], seen, drive.sighting_sigmas)
+    by_pose, by_landmark = displacement_jacobians(poses[drive.seen_from, 2], seen, drive.sighting_sigmas)
     of_motions, of_sightings = 3 * np.arange(n - 1), 3 * (n - 1) + 2 * np.arange(m)
     blocks = (
         (of_motions, 3 * np.arange(n - 1), here),
@@ -235,18 +235,18 @@ def _linearise(drive: Drive, poses: Array, landmarks: Array) -> tuple[Array, csr
         (of_sightings, 3 * drive.seen_from, by_pose),
         (of_sightings, 3 * n + 2 * drive.seen, by_landmark),
     )
-    jacobian = _assemble(blocks, (3 * (n - 1) + 2 * m, 3 * n + 2 * k))
+    jacobian = assemble(blocks, (3 * (n - 1) + 2 * m, 3 * n + 2 * k))
     return np.concatenate([motion.ravel(), sighting.ravel()]), jacobian[:, 3:]
 
 
-def _displacement_jacobians(theta: Array, displacement: Array, sigmas: Array) -> tuple[Array, Array]:
+def displacement_jacobians(theta: Array, displacement: Array, sigmas: Array) -> tuple[Array, Array]:
     """Of ``displacement / sigma``, displacement = R(theta)' (q - t): by (t, theta) (m, 2, 3), by q (m, 2, 2)."""
     by_q = np.swapaxes(se2.rotation(theta), -1, -2) / sigmas[:, :, None]
     by_theta = np.stack([displacement[:, 1], -displacement[:, 0]], axis=1) / sigmas
     return np.concatenate([-by_q, by_theta[:, :, None]], axis=2), by_q
 
 
-def _assemble(blocks: tuple[tuple[Indices, Indices, Array], ...], shape: tuple[int, int]) -> csr_array:
+def assemble(blocks: tuple[tuple[Indices, Indices, Array], ...], shape: tuple[int, int]) -> csr_array:
     """A sparse matrix of small dense blocks (b, r, c), each with the row and column of its first entry."""
     rows, columns, values = [], [], []
     for row, column, block in blocks:
@@ -260,7 +260,7 @@ def _assemble(blocks: tuple[tuple[Indices, Indices, Array], ...], shape: tuple[i
     return coo_array(triples, shape=shape).tocsr()
 
 
-def _factorised(jacobian: csr_array, damping: float) -> SuperLU:
+def factorised(jacobian: csr_array, damping: float) -> SuperLU:
     """Factors of ``J'J`` with its diagonal enlarged by ``damping``.
 
     Without pivoting and with a symmetric order the pivots are those of Cholesky: one that isn't positive says that
@@ -285,5 +285,5 @@ def _landmark_covariance(drive: Drive, state: _State) -> Array:
     size, poses = 2 * drive.landmark_count, 3 * (drive.pose_count - 1)
     unit = np.zeros((poses + size, size))
     unit[poses:] = np.eye(size)
-    covariance = _factorised(jacobian, 0.0).solve(unit)[poses:] if size else np.zeros((0, 0))
+    covariance = factorised(jacobian, 0.0).solve(unit)[poses:] if size else np.zeros((0, 0))
     return np.asarray((covariance + covariance.T) / 2, dtype=float)

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,13 @@ Against = Callable[[str, str, Array], float]
 
 #: Candidates that far below a pair's best [nats] support no placement.
 FAINT = 25.0
-#: Placements that far below the best one [nats] aren't looked at closely.
+#: Placements that far below the best one [nats] aren't looked at closely, and candidates propose none.
 HOPELESS = 15.0
 #: How often a choice is made again to give overruled pairs their chance.
 MAX_APPEALS = 20
+#: Overruled pairs that are heard before the best of them is followed, those that may win most: so many, and fewer
+#: where there are so many maps that each takes long.
+APPEALS_AT_ONCE, APPEALS_TIMES_MAPS = 8, 400
 #: Placements that differ by more [m, m, rad] are not looked at as the same, whatever their covariances.
 COARSE = np.array([20.0, 20.0, 0.8])
 #: Placements of a leg that a cycle is looked for among.
@@ -83,6 +86,11 @@ class _Group:
     edges: tuple[Edge, ...] = ()
 
     @cached_property
+    def made_of(self) -> tuple[tuple[str, ...], tuple[tuple[Pair, int], ...]]:
+        """What tells this group from others: its maps, and what was chosen in which order."""
+        return self.names, tuple(self.chosen.items())
+
+    @cached_property
     def graph(self) -> PoseGraph:
         return PoseGraph(self.names, self.edges)
 
@@ -111,6 +119,8 @@ class _Meeting:
 
 _Groups = Mapping[int, _Group]
 _Meetings = Mapping[tuple[int, int], _Meeting]
+#: Groups that pairs were compared across with each.
+_Beside = Mapping[int, set[int]]
 
 
 def choose(
@@ -131,7 +141,8 @@ def choose(
     best, first = chooser.run(ordered, ()), tuple[Pair, ...]()
     for _ in range(MAX_APPEALS):
         agreement = best.agreement(comparisons)
-        appeals = [(pair, chooser.run(ordered, (*first, pair))) for pair in chooser.unheard(best)]
+        heard = chooser.unheard(best)[: max(1, min(APPEALS_AT_ONCE, APPEALS_TIMES_MAPS // max(len(ordered), 1)))]
+        appeals = [(pair, chooser.run(ordered, (*first, pair))) for pair in heard]
         pair, other = max(appeals, key=lambda item: item[1].agreement(comparisons), default=(None, best))
         if pair is None or other.agreement(comparisons) <= agreement + 1e-9:
             return best
@@ -156,6 +167,11 @@ class _Chooser:
         self.comparisons = comparisons
         self.forbidden = forbidden
         self.edges: dict[tuple[str, str, int], Edge] = {}
+        self.met: dict[tuple[object, object], _Meeting] = {}
+        self.beside: dict[str, list[str]] = {}
+        for a, b in comparisons:
+            self.beside.setdefault(a, []).append(b)
+            self.beside.setdefault(b, []).append(a)
         self.config = config
         self.against = against
         self.gate = float(chi2_gate(config.solving.gate_probability, 3))
@@ -169,16 +185,26 @@ class _Chooser:
                 placement = self._placements(groups[p], groups[q], {pair: [0]})[0]
                 probability = float(self.comparisons[pair].probabilities[0])
                 groups[p] = self._merged(groups[p], groups.pop(q), placement, probability)
-        meetings = {(p, q): self.meet(groups[p], groups[q]) for p, q in combinations(groups, 2)}
-        while (key := self._next(groups, meetings)) is not None:
+        at = {name: k for k, group in groups.items() for name in group.names}
+        beside: dict[int, set[int]] = {k: set() for k in groups}
+        for a, b in self.comparisons:
+            if a in at and b in at and at[a] != at[b]:
+                beside[at[a]].add(at[b])
+                beside[at[b]].add(at[a])
+        meetings = {(p, q): self.meet(groups[p], groups[q]) for p in groups for q in beside[p] if p < q}
+        supports: dict[tuple[int, int], float] = {}
+        while (key := self._next(groups, meetings, beside, supports)) is not None:
             p, q = key
             meeting = meetings[key]
+            around = (beside[p] | beside.pop(q)) - {p, q}
             groups[p] = self._merged(groups[p], groups.pop(q), meeting.placements[0], meeting.probability)
             meetings = {other: meeting for other, meeting in meetings.items() if not {p, q} & set(other)}
-            for other in groups:
-                if other != p:
-                    one, two = sorted((p, other))
-                    meetings[one, two] = self.meet(groups[one], groups[two])
+            supports = {k: s for k, s in supports.items() if not ({p, q} & set(k) or around.issuperset(k))}
+            beside[p] = around
+            for other in around:
+                beside[other] = (beside[other] - {q}) | {p}
+                one, two = sorted((p, other))
+                meetings[one, two] = self.meet(groups[one], groups[two])
         return self._choice(sorted(groups.values(), key=lambda group: group.names))
 
     def unheard(self, choice: Choice) -> list[Pair]:
@@ -196,9 +222,10 @@ class _Chooser:
         for pair in sorted(asking):
             alike = [o for o in asking if o not in together or bool(_near(moves[pair], moves[o]))]
             won = sum(self._weight(other, 0) for other in {pair, *alike})
-            if pair not in together or won > _strength(*pair, weight):
-                heard.append(pair)
-        return heard
+            lost = _strength(*pair, weight) if pair in together else 0.0
+            if won > lost:
+                heard.append((lost - won, pair))
+        return [pair for _, pair in sorted(heard)]
 
     def _move(self, pair: Pair, choice: Choice) -> Array:
         """How following a pair would move its second map's frame and all that goes with it, in the group's frame."""
@@ -207,18 +234,22 @@ class _Chooser:
         return np.asarray(se2.compose(se2.compose(X_a, T_ab), se2.inverse(X_b)))
 
     def _next(
-        self, groups: Mapping[int, _Group], meetings: Mapping[tuple[int, int], _Meeting]
+        self, groups: _Groups, meetings: _Meetings, beside: _Beside, supports: dict[tuple[int, int], float]
     ) -> tuple[int, int] | None:
-        """The merge to do first: of those that are sure, the one with most support by its cycles."""
+        """The merge to do first: of those that are sure, the one with most support by its cycles.
+
+        ``supports``: what is known of it from before, and kept for later.
+        """
         sure = [key for key, m in meetings.items() if m.placements and m.probability >= self.config.decision.accept]
         if len(sure) < 2:
             return sure[0] if sure else None
-        ranked = [
-            (meetings[key].margin + self._support(key, groups, meetings), groups[key[0]].names, key) for key in sure
-        ]
-        return max(ranked, key=lambda item: (item[0], item[1]))[2]
+        for key in sure:
+            if key not in supports:
+                supports[key] = self._support(key, meetings, beside)
+        ranked = [(meetings[key].margin + supports[key], groups[key[0]].names, key) for key in sure]
+        return max(ranked, key=lambda item: (item[0], item[1], groups[item[2][1]].names))[2]
 
-    def _support(self, key: tuple[int, int], groups: _Groups, meetings: _Meetings) -> float:
+    def _support(self, key: tuple[int, int], meetings: _Meetings, beside: _Beside) -> float:
         """What third groups say of the best placement [nats].
 
         Two legs by a third group that close the cycle are worth the weaker leg; two that are both sure and don't close
@@ -227,9 +258,7 @@ class _Chooser:
         p, q = key
         T_pq = meetings[key].placements[0].T_AB
         total = 0.0
-        for r in groups:
-            if r in key:
-                continue
+        for r in sorted(beside[p] & beside[q]):
             one, two = (meetings[min(n, r), max(n, r)] for n in key)
             if not one.placements or not two.placements:
                 continue
@@ -245,8 +274,14 @@ class _Chooser:
         return total
 
     def meet(self, A: _Group, B: _Group) -> _Meeting:
-        """All placements of B on A that the pairs across propose, weighed."""
-        pairs = [key for a, b in product(A.names, B.names) if (key := _key(a, b)) in self.comparisons]
+        """All placements of B on A that the pairs across propose, weighed; looked up where an earlier run met them."""
+        key = (A.made_of, B.made_of)
+        if key not in self.met:
+            self.met[key] = self._meet(A, B)
+        return self.met[key]
+
+    def _meet(self, A: _Group, B: _Group) -> _Meeting:
+        pairs = self._across(A, B)
         faint = FAINT if len(pairs) > 1 else np.inf
         placements = self._placements(A, B, {pair: self._allowed(pair, faint) for pair in pairs})
         if self.against is not None and len(pairs) > 1:
@@ -259,6 +294,12 @@ class _Chooser:
         rest = float(weights.sum() - weights[0])
         margin = float(np.log(max(probability, 1e-300)) - np.log(max(rest, 1e-300)))
         return _Meeting(tuple(placements), probability, margin)
+
+    def _across(self, A: _Group, B: _Group) -> list[Pair]:
+        """The pairs that were compared between two groups."""
+        few, many = sorted((A.names, B.names), key=len)
+        inside = set(many)
+        return sorted(_key(a, b) for a in few for b in self.beside.get(a, ()) if b in inside)
 
     def _allowed(self, pair: Pair, faint: float) -> list[int]:
         weights = self.comparisons[pair].weights
@@ -276,17 +317,22 @@ class _Chooser:
         X_b = np.array([B.graph.pose(b) for _, b in ways])
         T_ab = np.array([edge.T for edge in edges])
         T_AB = se2.compose(se2.compose(X_a, T_ab), se2.inverse(X_b))
-        implied = se2.compose(se2.compose(se2.inverse(X_a)[None], T_AB[:, None]), X_b[None])
+        weights = np.array([self._weight(*seed) for seed in seeds])
+        # what a placement is worth is at most a little more than its best candidate, where that one weighs little
+        proposing = np.flatnonzero(weights > weights.max() - HOPELESS) if len(allowed) > 1 else np.arange(len(seeds))
+        implied = se2.compose(se2.compose(se2.inverse(X_a)[None], T_AB[proposing, None]), X_b[None])
         off = np.abs(implied - T_ab[None])
         off[..., 2] = np.abs(se2.wrap(implied[..., 2] - T_ab[None, :, 2]))
         coarsely = (off < COARSE).all(axis=2)
         found: dict[tuple[tuple[Pair, int], ...], _Placement] = {}
-        for n, seed in enumerate(seeds):
+        for row, n in enumerate(proposing.tolist()):
+            seed = seeds[n]
             agreeing = {seed[0]: seed[1]}
-            for m in np.flatnonzero(coarsely[n]).tolist():
+            close = [m for m in np.flatnonzero(coarsely[row]).tolist() if seeds[m][0] != seed[0]]
+            off = self._off(A, B, edges[n], [edges[m] for m in close])
+            for m, agrees in zip(close, (off < self.gate).tolist(), strict=True):
                 pair, k = seeds[m]
-                better = pair not in agreeing or self._weight(pair, k) > self._weight(pair, agreeing[pair])
-                if pair != seed[0] and better and self._off(A, B, edges[n], edges[m]) < self.gate:
+                if agrees and (pair not in agreeing or self._weight(pair, k) > self._weight(pair, agreeing[pair])):
                     agreeing[pair] = k
             placement = _Placement(agreeing, self._weighed(A, B, agreeing), T_AB[n])
             found.setdefault(tuple(sorted(agreeing.items())), placement)
@@ -304,15 +350,19 @@ class _Chooser:
             self.edges[a, b, k] = Edge(a, b, T.array, T.covariance + np.diag(SLACK**2))
         return self.edges[a, b, k]
 
-    def _off(self, A: _Group, B: _Group, via: Edge, other: Edge) -> float:
-        """Squared Mahalanobis distance of an edge across two groups from what another one implies."""
-        T_ca, C_ca = A.graph.between(other.a, via.a)
-        T_bd, C_bd = B.graph.between(via.b, other.b)
+    def _off(self, A: _Group, B: _Group, via: Edge, others: Sequence[Edge]) -> Array:
+        """Squared Mahalanobis distances (k,) of k edges across two groups from what another one implies."""
+        if not others:
+            return np.zeros(0)
+        k = len(others)
+        T_ca, C_ca = A.graph.betweens([other.a for other in others], [via.a] * k)
+        T_bd, C_bd = B.graph.betweens([via.b] * k, [other.b for other in others])
         T_cb, C_cb = se2.compose(T_ca, via.T), se2.compose_covariance(T_ca, C_ca, via.T, via.covariance)
         T, covariance = se2.compose(T_cb, T_bd), se2.compose_covariance(T_cb, C_cb, T_bd, C_bd)
-        off = other.T - T
-        off[2] = se2.wrap(off[2])
-        return float(off @ np.linalg.solve(covariance + other.covariance, off))
+        off = np.array([other.T for other in others]) - T
+        off[:, 2] = se2.wrap(off[:, 2])
+        whole = covariance + np.array([other.covariance for other in others])
+        return np.asarray(np.einsum("ki,ki->k", off, np.linalg.solve(whole, off[..., None])[..., 0]))
 
     def _weighed(self, A: _Group, B: _Group, agreeing: Mapping[Pair, int]) -> float:
         """What candidates that agree weigh together [nats], every landmark counted once.

@@ -60,7 +60,7 @@ def put_back(
     reference = [origins[names[0]] for names in fused.groups]
     return replace(
         fused,
-        pairs=tuple(_pair(pair, origins[pair.maps[0]], origins[pair.maps[1]], mixture) for pair in fused.pairs),
+        pairs=tuple(pair_put_back(pair, origins[pair.maps[0]], origins[pair.maps[1]], mixture) for pair in fused.pairs),
         frames={
             name: replace(frame, T=carried(frame.T, reference[frame.group], origins[name]))
             for name, frame in fused.frames.items()
@@ -83,9 +83,10 @@ def carried(T12: Transform, origin1: Array, origin2: Array) -> Transform:
     return Transform.from_array(pose, se2.propagate(J, T12.covariance))
 
 
-def _pair(
+def pair_put_back(
     pair: PairResult, origin1: Array, origin2: Array, mixture: Callable[[Sequence[Transform], Array], Array]
 ) -> PairResult:
+    """One pair's result as `put_back` gives it, the maps' origins having been ``origin1``, ``origin2`` (2,)."""
     if not pair.hypotheses:
         return pair
     hypotheses = tuple(replace(h, T12=carried(h.T12, origin1, origin2)) for h in pair.hypotheses)

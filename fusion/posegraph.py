@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,7 +33,7 @@ class Edge:
 class PoseGraph:
     """Frames ``names`` tied by edges, solved by Gauss-Newton with the first one held at the origin.
 
-    Small and dense: it holds the frames of one group of maps, not their landmarks. The edges count as independent,
+    Dense: it holds the frames of one group of maps, not their landmarks. The edges count as independent,
     which they are not quite (two edges of one map share its drift): it gates cycles and gives starting values, and
     what is reported comes from the graph of landmarks.
 
@@ -51,50 +52,54 @@ class PoseGraph:
 
     @cached_property
     def _solved(self) -> tuple[Array, Array]:
-        """Poses (n, 3) and their joint covariance (3n, 3n), the first frame's being zero."""
+        """Poses (n, 3) and their joint covariance in blocks (n, n, 3, 3), the first frame's being zero."""
         n = len(self.names)
-        poses, information = self._start(), np.zeros((3 * n, 3 * n))
+        poses, covariance = self._start(), np.zeros((n, n, 3, 3))
+        if n < 2:
+            return poses, covariance
+        a, b = (np.array([self._index[getattr(edge, end)] for edge in self.edges], dtype=np.intp) for end in "ab")
+        T, weight = np.array([e.T for e in self.edges]), np.linalg.inv([e.covariance for e in self.edges])
         for _ in range(_ROUNDS):
-            information[:] = 0
-            gradient = np.zeros(3 * n)
-            for edge in self.edges:
-                a, b = self._index[edge.a], self._index[edge.b]
-                back = se2.inverse(poses[a])
-                by_back, by_b = se2.compose_jacobians(back, poses[b])
-                J = np.zeros((3, 3 * n))
-                J[:, 3 * a : 3 * a + 3] = by_back @ se2.inverse_jacobian(poses[a])
-                J[:, 3 * b : 3 * b + 3] = by_b
-                off = se2.compose(back, poses[b]) - edge.T
-                off[2] = se2.wrap(off[2])
-                weighted = np.linalg.solve(edge.covariance, np.column_stack([J, off]))
-                information += J.T @ weighted[:, :-1]
-                gradient += J.T @ weighted[:, -1]
-            if n < 2:
-                break
-            step = -np.linalg.solve(information[3:, 3:], gradient[3:])
+            back = se2.inverse(poses[a])
+            by_back, by_b = se2.compose_jacobians(back, poses[b])
+            by_a = by_back @ se2.inverse_jacobian(poses[a])
+            off = se2.compose(back, poses[b]) - T
+            off[:, 2] = se2.wrap(off[:, 2])
+            blocks, gradient = np.zeros((n, n, 3, 3)), np.zeros((n, 3))
+            for i, J in ((a, by_a), (b, by_b)):
+                weighed = np.swapaxes(J, 1, 2) @ weight
+                np.add.at(gradient, i, np.einsum("eij,ej->ei", weighed, off))
+                for j, other in ((a, by_a), (b, by_b)):
+                    np.add.at(blocks, (i, j), weighed @ other)
+            information = blocks.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)[3:, 3:]
+            step = -np.linalg.solve(information, gradient[1:].ravel())
             poses[1:] += step.reshape(-1, 3)
             poses[:, 2] = se2.wrap(poses[:, 2])
             if np.abs(step).max() < _CONVERGED:
                 break
-        covariance = np.zeros_like(information)
-        if n > 1:
-            covariance[3:, 3:] = np.linalg.inv(information[3:, 3:])
+        dense = np.linalg.inv(information).reshape(n - 1, 3, n - 1, 3)
+        covariance[1:, 1:] = dense.transpose(0, 2, 1, 3)
         return poses, covariance
 
     def _start(self) -> Array:
         """Every frame by the first edges that reach it; raises `MapfuseError` where none do."""
-        poses = np.full((len(self.names), 3), np.nan)
-        poses[0] = 0.0
-        while np.isnan(poses).any():
-            placed = 0
-            for edge in self.edges:
+        poses = np.zeros((len(self.names), 3))
+        touching: list[list[Edge]] = [[] for _ in self.names]
+        for edge in self.edges:
+            touching[self._index[edge.a]].append(edge)
+            touching[self._index[edge.b]].append(edge)
+        reached, todo = {0}, deque([0])
+        while todo:
+            here = todo.popleft()
+            for edge in touching[here]:
                 a, b = self._index[edge.a], self._index[edge.b]
-                if np.isnan(poses[b, 0]) and not np.isnan(poses[a, 0]):
-                    poses[b], placed = se2.compose(poses[a], edge.T), placed + 1
-                elif np.isnan(poses[a, 0]) and not np.isnan(poses[b, 0]):
-                    poses[a], placed = se2.compose(poses[b], se2.inverse(edge.T)), placed + 1
-            if not placed:
-                raise MapfuseError("the edges of a pose graph don't reach all its frames")
+                there = b if here == a else a
+                if there not in reached:
+                    poses[there] = se2.compose(poses[here], edge.T if here == a else se2.inverse(edge.T))
+                    reached.add(there)
+                    todo.append(there)
+        if len(reached) < len(self.names):
+            raise MapfuseError("the edges of a pose graph don't reach all its frames")
         return poses
 
     def pose(self, name: str) -> Array:
@@ -103,18 +108,23 @@ class PoseGraph:
 
     def transform(self, name: str) -> Transform:
         """Pose of a frame in the first one with its covariance."""
-        rows = slice(3 * self._index[name], 3 * self._index[name] + 3)
-        return Transform.from_array(self.pose(name), self._solved[1][rows, rows])
+        k = self._index[name]
+        return Transform.from_array(self.pose(name), self._solved[1][k, k])
 
     def between(self, a: str, b: str) -> tuple[Array, Array]:
         """Pose (3,) of frame ``b`` in frame ``a``, and its covariance (3, 3)."""
-        T_a, T_b = self.pose(a), self.pose(b)
-        if a == b:
-            return np.zeros(3), np.zeros((3, 3))
-        back = se2.inverse(T_a)
-        by_back, by_b = se2.compose_jacobians(back, T_b)
-        J = np.zeros((3, len(self._solved[1])))
-        k, m = 3 * self._index[a], 3 * self._index[b]
-        J[:, k : k + 3] = by_back @ se2.inverse_jacobian(T_a)
-        J[:, m : m + 3] = by_b
-        return np.asarray(se2.compose(back, T_b)), se2.propagate(J, self._solved[1])
+        T, covariance = self.betweens([a], [b])
+        return T[0], covariance[0]
+
+    def betweens(self, a: Sequence[str], b: Sequence[str]) -> tuple[Array, Array]:
+        """Poses (k, 3) of k frames ``b`` in as many frames ``a``, and their covariances (k, 3, 3)."""
+        poses, blocks = self._solved
+        i, j = (np.array([self._index[name] for name in names], dtype=np.intp) for names in (a, b))
+        back = se2.inverse(poses[i])
+        by_back, by_b = se2.compose_jacobians(back, poses[j])
+        by_a = by_back @ se2.inverse_jacobian(poses[i])
+        cross = by_a @ blocks[i, j] @ np.swapaxes(by_b, 1, 2)
+        covariance = se2.propagate(by_a, blocks[i, i]) + se2.propagate(by_b, blocks[j, j])
+        covariance = covariance + cross + np.swapaxes(cross, 1, 2)
+        covariance[i == j] = 0.0
+        return np.where((i == j)[:, None], 0.0, se2.compose(back, poses[j])), covariance

@@ -27,21 +27,24 @@ def settled(
     for _ in range(MAX_CHOICES):
         choice = choose(prepared, comparisons, config, against, forbidden)
         several = [names for names in choice.groups if len(names) > 1]
-        joints = {names: _joint(names, prepared, comparisons, choice, config) for names in several}
-        broken = [item for names, joint in joints.items() for item in _broken(names, joint, comparisons, choice)]
+        joints = {names: joint_of(names, prepared, comparisons, choice, config) for names in several}
+        broken = [
+            item for names, joint in joints.items() for item in broken_candidates(names, joint, comparisons, choice)
+        ]
         if not broken or len(comparisons) == 1:
             break
         forbidden |= frozenset(broken)
     return choice, joints
 
 
-def _joint(
+def joint_of(
     names: tuple[str, ...],
     prepared: Mapping[str, PreparedMap],
     comparisons: Mapping[Pair, Comparison],
     choice: Choice,
     config: FuseConfig,
 ) -> Joint:
+    """The joint graph of a group, as it was chosen."""
     maps = tuple(prepared[name] for name in names)
     shared = _shared(names, {p: k for p, k in choice.chosen.items() if p[0] in names}, comparisons)
     only = comparisons.get(names) if len(names) == 2 else None
@@ -62,7 +65,7 @@ def _shared(
     return tuple(sorted(tuple(sorted(place)) for place in members.values() if len(place) > 1))
 
 
-def _broken(
+def broken_candidates(
     names: tuple[str, ...], joint: Joint, comparisons: Mapping[Pair, Comparison], choice: Choice
 ) -> list[tuple[Pair, int]]:
     """Chosen candidates of which the joint graph leaves less than half of the matches together."""

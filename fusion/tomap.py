@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapfuseError
+from mapfuse.datasets.formats.graphs import WAYS
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
 
 from .result import FusedLandmark, FusedMap
@@ -24,8 +25,7 @@ OTHER_PATHS = "other_paths"
 
 def to_map(fused: FusedMap, group: int = 0, name: str | None = None) -> LandmarkMap:
     """One group as a map in the frame of its first map; see `FusedMap.to_map`."""
-    if not 0 <= group < len(fused.groups):
-        raise MapfuseError(f"there is no group {group}: this result has {len(fused.groups)}, counted from 0")
+    _check_group(fused, group)
     names = fused.groups[group]
     members = [landmark for landmark in fused.landmarks if landmark.group == group]
     joint = _joint_covariance(fused, group, members)
@@ -139,3 +139,69 @@ def _same_as(fused: FusedMap, names: Sequence[str], members: Sequence[FusedLandm
                     if other not in names:
                         known.setdefault(landmark.id, {}).setdefault(other, theirs)
     return known
+
+
+def without_joint_covariance(fused: FusedMap, group: int = 0, name: str | None = None) -> LandmarkMap:
+    """One group as a map to be looked at or driven on, for formats that hold no joint covariance anyway.
+
+    As `to_map`, but each landmark carries its own covariance and existence, and no result file lacks what that needs.
+    Fused again it would claim too much: that its landmarks err independently. Ways beyond a landmark's four links, of
+    embedded sources that have such (`WAYS`), lead to the merged landmarks, each once.
+    """
+    _check_group(fused, group)
+    names = fused.groups[group]
+    members = [landmark for landmark in fused.landmarks if landmark.group == group]
+    ids = {landmark.id for landmark in members}
+    fused_id = {(n, i): landmark.id for landmark in members for n, own in landmark.sources.items() for i in own}
+    landmarks = []
+    for member in members:
+        rows = 2 if member.heading is None else 3
+        landmark = _landmark(member, ids, with_compass=True, rows=2)
+        landmark = replace(landmark, covariance=member.covariance[:rows, :rows], links=_each_way_once(landmark.links))
+        led = {link.connected_to_id for link in landmark.links} | {member.id}
+        further = [end for end in _ends(fused, member, fused_id) if end not in led]
+        extra = {**landmark.extra, WAYS: [{"to": end} for end in further]} if further else landmark.extra
+        landmarks.append(replace(landmark, extra=extra))
+    return LandmarkMap(
+        name="+".join(names) if name is None else name,
+        landmarks=tuple(landmarks),
+        noise=combined_noise([fused.sources[n].noise if n in fused.sources else Noise() for n in names]),
+        walls=tuple(fused.frames[n].T.apply(w) for n in names if n in fused.sources for w in fused.sources[n].walls),
+        path=_path(fused, names[0]),
+    )
+
+
+def _check_group(fused: FusedMap, group: int) -> None:
+    if not 0 <= group < len(fused.groups):
+        raise MapfuseError(f"there is no group {group}: this result has {len(fused.groups)}, counted from 0")
+
+
+def _each_way_once(links: Sequence[Link]) -> tuple[Link, ...]:
+    """Links, of those without direction that lead to one landmark the first only."""
+    told: set[str] = set()
+    kept = []
+    for link in links:
+        if link.heading is None and link.connected_to_id is not None:
+            if link.connected_to_id in told:
+                continue
+            told.add(link.connected_to_id)
+        kept.append(link)
+    return tuple(kept)
+
+
+def _ends(fused: FusedMap, member: FusedLandmark, fused_id: Mapping[tuple[str, str], str]) -> list[str]:
+    """Where the ways without direction of a landmark lead in its sources, as merged landmarks, each once."""
+    ends: dict[str, None] = {}
+    for source, own in member.sources.items():
+        recorded = fused.sources.get(source)
+        for identifier in own if recorded is not None else ():
+            assert recorded is not None
+            landmark = recorded[identifier]
+            # of ways along arms the merged links hold all that is to be driven: the nearer of two ends
+            told = [link.connected_to_id for link in landmark.links if link.heading is None]
+            further = landmark.extra.get(WAYS, ())
+            told += [way.get("to") for way in further if isinstance(way, Mapping)] if isinstance(further, list) else []
+            for end in told:
+                if isinstance(end, str) and (merged := fused_id.get((source, end))) is not None:
+                    ends[merged] = None
+    return list(ends)

@@ -19,7 +19,7 @@ has them, or metres where the document has the member ``"units": "m"``. Optional
 
 Places and arms follow from the corridors' lines: ends, bends, junctions. Doors that a line leads through stand open and
 are no landmarks; all others are closed, and stand as landmarks on the nearest line from which they can be seen.
-Without corridors, lines midway between the walls are used, of the space that most doors open to. Without walls, walls
+Without corridors, lines midway between the walls are used, of the spaces that most doors open to. Without walls, walls
 are built around the corridors.
 """
 
@@ -40,7 +40,6 @@ from ..files import read_whole
 from ..jsondata import decode, render, said
 from ..values import frozen_array
 from .building import DOOR_WIDTH, Building, build
-from .centrelines import centrelines
 from .corridorgraph import corridor_graph
 from .floors import Arm, DoorAt, Floor, Place, bearing, floor_from_graph
 from .raycast import cast, clear, distances, nearest_points
@@ -121,9 +120,12 @@ def building_from_plan(
     Raises `InputError` for a file that can't be read, `FileFormatError` (file, place, reason) for one that breaks the
     rules or has neither corridors nor anything to find them by.
     """
+    # imported here because the extraction uses the corridor graph of this folder
+    from ..extract.plangrid import plan_lines
+
     plan = read_plan(path, corridors)
     try:
-        lines = plan.lines or centrelines(plan.walls, plan.doors, plan.leaves, plan.door_of_leaf)
+        lines = plan.lines or plan_lines(plan.walls, plan.doors, plan.leaves, plan.door_of_leaf)
         closed = _closed(plan.doors, lines)
         walls = np.concatenate([plan.walls, plan.leaves[closed[plan.door_of_leaf]]])
         nodes, edges = corridor_graph(lines, walls)

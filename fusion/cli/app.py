@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from . import config, demo, fuse, map, show, simulate
+from . import batch, config, convert, demo, formats, fuse, map, show, simulate
 from .console import UsageError, complain, say, tolerate_any_text
 
 _EPILOG = (
@@ -26,10 +26,13 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command(name="fuse", no_args_is_help=True)(fuse.fuse_files)
+app.command(name="batch", no_args_is_help=True)(batch.batch)
 app.command(name="map", no_args_is_help=True)(map.map_file)
 app.command(name="simulate")(simulate.simulate)
 app.command(name="demo")(demo.demo)
 app.command(name="show", no_args_is_help=True)(show.show)
+app.command(name="convert", no_args_is_help=True)(convert.convert)
+app.command(name="formats")(formats.formats)
 app.command(name="config")(config.config)
 
 

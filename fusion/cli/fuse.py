@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from . import anymap, grids
 from .console import (
     Quiet,
     UsageError,
@@ -38,7 +39,16 @@ class Mode(StrEnum):
 
 
 def fuse_files(
-    maps: Annotated[list[Path], typer.Argument(help="Recorded maps (NAME.map.json).", metavar="MAP")],
+    maps: Annotated[
+        list[Path],
+        typer.Argument(
+            help=(
+                "Recorded maps, in any format that `mapfuse formats` lists, or results (NAME.fused.json), "
+                "for the maps in them."
+            ),
+            metavar="MAP",
+        ),
+    ],
     *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The result, OUT.fused.json.", show_default=False)
@@ -50,8 +60,15 @@ def fuse_files(
     merged_map: Annotated[
         Path | None, typer.Option("--map", help="The merged map as a map again, OUT.map.json.")
     ] = None,
+    grid: Annotated[
+        Path | None,
+        typer.Option("--grid", metavar="OUT.yaml", help="The grids among the maps in one; its picture beside it."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result file on standard output.")] = False,
     no_embed: Annotated[bool, typer.Option("--no-embed", help="Leave the input maps out of the result file.")] = False,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", metavar="NAME", help="Leave out the map of this name; repeatable.")
+    ] = None,
     require_merge: Annotated[
         bool, typer.Option("--require-merge", help="Exit with 3 where not all maps were merged.")
     ] = False,
@@ -63,6 +80,7 @@ def fuse_files(
         float | None,
         typer.Option("--overlap-prior", metavar="P", help="Probability, before looking, of overlap (0.5)."),
     ] = None,
+    given: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=anymap.SET_HELP)] = None,
     near: Annotated[
         tuple[str, str, float, float, float, float, float] | None,
         typer.Option(
@@ -90,15 +108,14 @@ def fuse_files(
 
     Exit code 0 whatever was decided: "no overlap" is an answer.
     """
-    if len(maps) < 2:
-        raise UsageError("give at least two maps to fuse")
     check_picture("--plot", plot)
     check_page("--report", report)
-    outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map}
+    grids.check_output(grid, maps)
+    outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map, "--grid": grid}
     check_outputs(outputs, [*maps, *([config] if config else [])])
     warn_on_stderr(verbose=verbose)
     settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise)
-    recorded = read_maps(maps)
+    recorded = _left(anymap.read_maps(maps, anymap.options(given or []), quiet=quiet), without or ())
 
     from mapfuse.fusion import as_reference, fuse
 
@@ -109,6 +126,8 @@ def fuse_files(
     with stages("fusing", quiet=quiet):
         fused = fuse(recorded, settings, _known(near))
     _write(fused, outputs, as_json=as_json, embed=not no_embed, quiet=quiet)
+    if grid is not None:
+        grids.write_merged(fused, maps, grid, quiet=quiet or as_json)
     if require_merge and fused.decision != "merged":
         raise typer.Exit(3)
 
@@ -150,29 +169,17 @@ def _settings(
     return settings
 
 
-def read_maps(paths: Sequence[Path]) -> list[LandmarkMap]:
-    """Read maps; raises `UsageError` with the errors of all files, or where two maps have one name."""
-    from mapfuse.datasets import read_map
-    from mapfuse.datasets.errors import MapfuseError
-
-    maps: list[LandmarkMap] = []
-    wrong: list[str] = []
-    for path in paths:
-        try:
-            maps.append(read_map(path))
-        except MapfuseError as error:
-            wrong.append(str(error))
-    if wrong:
-        raise UsageError("\n".join(wrong))
-    path_from_name: dict[str, Path] = {}
-    for path, map_ in zip(paths, maps, strict=True):
-        if map_.name in path_from_name:
-            raise UsageError(
-                f"{path_from_name[map_.name]} and {path}: both maps are named {map_.name!r}; "
-                "names tell maps apart, so give them different ones"
-            )
-        path_from_name[map_.name] = path
-    return maps
+def _left(maps: Sequence[LandmarkMap], without: Sequence[str]) -> list[LandmarkMap]:
+    """The maps that are not left out; raises `UsageError` for a name that none has, and where none is left."""
+    names = [m.name for m in maps]
+    if unknown := [name for name in without if name not in names]:
+        raise UsageError(f"--without {unknown[0]}: there is no such map; there are {', '.join(names)}")
+    if len(maps) < 2:
+        raise UsageError("give at least two maps to fuse")
+    left = [m for m in maps if m.name not in without]
+    if not left:
+        raise UsageError("--without leaves no map")
+    return left
 
 
 def _write(fused: FusedMap, outputs: Mapping[str, Path | None], *, as_json: bool, embed: bool, quiet: bool) -> None:

@@ -22,9 +22,15 @@ def progress(label: str, total: float | None = None) -> Iterator[Callable[[float
     if not _on_terminal():
         yield lambda _: None
         return
-    with _bar() as bar:
-        task = bar.add_task(label, total=total)
-        yield lambda done: bar.advance(task, done)
+    with _bar(timed=total is not None) as bar:
+        task = bar.add_task(label, total=total, rate="")
+
+        def advance(done: float) -> None:
+            bar.advance(task, done)
+            speed = bar.tasks[task].finished_speed or bar.tasks[task].speed
+            bar.update(task, rate=f"{speed:.3g}/s" if speed else "")
+
+        yield advance
 
 
 @contextmanager
@@ -64,12 +70,16 @@ def _on_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-def _bar() -> Progress:
+def _bar(*, timed: bool = False) -> Progress:
+    """``timed``: with how fast the work goes, the task's ``rate``, and how long it will still take."""
+    from rich import progress as rp
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    columns: list[rp.ProgressColumn] = [rp.TextColumn("{task.description}", markup=False), rp.BarColumn()]
+    columns += [rp.MofNCompleteColumn(), rp.TimeElapsedColumn()]
+    if timed:
+        columns += [rp.TextColumn("{task.fields[rate]}", markup=False), rp.TimeRemainingColumn()]
+    return rp.Progress(*columns, console=Console(stderr=True), transient=True)
 
 
 def watched(items: Iterable[Item], label: str, total: float | None = None) -> Iterator[Item]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from . import anymap
 from .console import (
     Quiet,
     UsageError,
@@ -27,14 +28,19 @@ if TYPE_CHECKING:
     from mapfuse.fusion.result import FusedMap
     from mapfuse.fusion.show.log_page import Drive
 
-#: The first line of a log isn't longer [bytes].
-_HEAD_BYTES = 2**20
 _ENDINGS = (".fused.json", ".map.json", ".geojson", ".json", ".log.jsonl.gz", ".log.jsonl", ".jsonl")
 
 
 def show(
     file: Annotated[
-        Path, typer.Argument(help="A recorded map, a fused map, a log, or a building's plan (GeoJSON).", metavar="FILE")
+        Path,
+        typer.Argument(
+            help=(
+                "A map in any format that `mapfuse formats` lists (FILE#PART for one of several), a result, a log, "
+                "or a building's plan (GeoJSON)."
+            ),
+            metavar="FILE",
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -56,16 +62,18 @@ def show(
         Path | None,
         typer.Option("--corridors", metavar="FILE", help="Of a plan: a second file, that has its corridors."),
     ] = None,
+    given: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=anymap.SET_HELP)] = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Draw a recorded map, a fused map, a building, or a log with its truth where that stands beside it."""
+    told = anymap.options(given or []) | ({"corridors": str(corridors)} if corridors else {})
     if html and solid:
         raise UsageError("--html and --3d: give one of them")
     if solid:
         from .solid import show_solid
 
-        show_solid(file, output, quiet=quiet, verbose=verbose)
+        show_solid(file, output, told, quiet=quiet, verbose=verbose)
         return
     if output is not None and output.suffix.lower() in (".html", ".htm"):
         html = True
@@ -76,29 +84,34 @@ def show(
     if is_log(file):
         if pair:
             raise UsageError("--pair: a log has no pairs of maps")
+        if told:
+            raise UsageError(f"{file}: is a log, and --set and --corridors are for maps of other formats")
         said = _show_log(file, target, html=html)
     else:
-        said = _show_document(file, target, pair, corridors, html=html)
+        said = _show_document(file, target, pair, told, html=html, quiet=quiet)
     if not quiet:
         say(said)
         say(f"wrote {target}")
 
 
 def _show_document(
-    file: Path, target: Path, pair: tuple[str, str] | None, corridors: Path | None, *, html: bool
+    file: Path,
+    target: Path,
+    pair: tuple[str, str] | None,
+    told: dict[str, str],
+    *,
+    html: bool,
+    quiet: bool,
 ) -> str:
-    found = format_of(file)
-    if found.startswith("mapfuse.fused/"):
-        from mapfuse.fusion import read_fused
-
-        return _show_fused(read_fused(file), target, pair, html=html)
+    if (fused := anymap.fused_in(file)) is not None:
+        if told:
+            raise UsageError(f"{file}: is a result, and --set and --corridors are for maps of other formats")
+        return _show_fused(fused, target, pair, html=html)
     if pair:
         raise UsageError(f"--pair: {file} is no fused map")
-    if file.suffix.lower() == ".geojson":
-        return _show_plan(file, target, corridors, html=html)
-    from mapfuse.datasets import read_map
-
-    return _show_map(read_map(file), target, html=html)
+    if not html and anymap.is_plan(file):
+        return _show_plan(file, target, told)
+    return _show_map(anymap.read_one(file, told, quiet=quiet), target, html=html)
 
 
 def _show_fused(fused: FusedMap, target: Path, pair: tuple[str, str] | None, *, html: bool) -> str:
@@ -134,13 +147,13 @@ def _show_map(map_: LandmarkMap, target: Path, *, html: bool) -> str:
     return f"{map_.name}: {len(map_)} landmarks"
 
 
-def _show_plan(file: Path, target: Path, corridors: Path | None, *, html: bool) -> str:
+def _show_plan(file: Path, target: Path, told: dict[str, str]) -> str:
     from mapfuse.datasets.simulation import building_from_plan
     from mapfuse.fusion.show import draw_building
 
-    if html:
-        raise UsageError("--html: a building has no page; give -o OUT.png, .svg or .pdf")
-    building = building_from_plan(file, corridors)
+    if others := [key for key in told if key != "corridors"]:
+        raise UsageError(f"--set {others[0]}: is not drawn; of a plan only the corridors are asked for")
+    building = building_from_plan(file, told.get("corridors"))
     with writing(target):
         draw_building(building, (), target, title=f"{building.name}: the plan of a building")
     return f"{building.name}: {len(building.floor.places)} landmarks, {len(building.walls)} walls"
@@ -183,29 +196,13 @@ def _drive(file: Path) -> tuple[LogHeader, Drive, Path]:
 
 
 def is_log(file: Path) -> bool:
-    """Whether a file holds a log: lines of JSON of which the first one says so, or anything compressed."""
+    """Whether a file holds a log: lines of JSON of which the first one says so, or compressed and named as one."""
+    if file.name.lower().endswith((".jsonl", ".jsonl.gz")):
+        return True
+    from mapfuse.datasets.errors import InputError
+    from mapfuse.datasets.formats.heads import head_of
+
     try:
-        with file.open("rb") as stream:
-            line = stream.readline(_HEAD_BYTES)
-    except OSError:
+        return b'"mapfuse.log/' in head_of(file).partition(b"\n")[0]
+    except InputError:
         return False  # the readers say what is wrong
-    return line[:2] == b"\x1f\x8b" or _format(line).startswith("mapfuse.log/")
-
-
-def format_of(file: Path) -> str:
-    """The file's own word for its format, empty where it has none: the reader of maps then says what is wrong."""
-    from mapfuse.datasets.files import read_whole
-
-    return _format(read_whole(file))
-
-
-def _format(document: bytes) -> str:
-    import msgspec
-
-    class Head(msgspec.Struct):
-        format: str = ""
-
-    try:
-        return msgspec.json.decode(document, type=Head).format
-    except (msgspec.MsgspecError, UnicodeDecodeError):
-        return ""

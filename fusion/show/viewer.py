@@ -6,6 +6,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ def open3d() -> Any:
     Raises MapfuseError where it isn't installed, or lacks what it needs itself.
     """
     try:
-        import open3d as library
+        library = import_module("open3d")
     except ImportError as error:
         raise MapfuseError(
             f"the 3-D view needs Open3D, which can't be loaded ({error}): install mapfuse[open3d]"

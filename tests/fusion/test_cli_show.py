@@ -93,6 +93,21 @@ def test_names_of_outputs_follow_the_file(
     assert sorted(path.name for path in folder.iterdir()) == ["p.png", "r.html"]
 
 
+def test_a_plan_is_drawn_as_a_building_and_read_as_a_map(
+    command: Command, files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command("show", files["p.geojson"], "-o", tmp_path / "p.png") == 0
+    assert "plan: 3 landmarks, " in capsys.readouterr().out
+    assert command("show", files["p.geojson"], "-o", tmp_path / "p.html") == 0
+    said = capsys.readouterr()
+    assert "taken for: vector plan of a floor (GeoJSON) (plan), 3 landmarks" in said.err
+    assert (tmp_path / "p.html").read_bytes().startswith(HEADS[".html"])
+    # a page and a picture of a graph in GeoJSON, which is no plan
+    assert command("convert", files["A.map.json"], tmp_path / "graph.geojson") == 0
+    assert command("show", tmp_path / "graph.geojson", "-o", tmp_path / "graph.png") == 0
+    assert "(nav2), 3 landmarks" in capsys.readouterr().err
+
+
 def test_one_pair_of_a_result(command: Command, files: dict[str, Path], tmp_path: Path) -> None:
     out = tmp_path / "pair.png"
     assert command("show", files["r.fused.json"], "--pair", "B", "A", "-o", out) == 0
@@ -110,7 +125,11 @@ def test_one_pair_of_a_result(command: Command, files: dict[str, Path], tmp_path
         (("A.map.json", "--pair", "A", "B"), "is no fused map"),
         (("d.log.jsonl", "--pair", "A", "B"), "a log has no pairs"),
         (("r.fused.json", "--pair", "A", "C"), "isn't the pair A and C"),
-        (("p.geojson", "--html"), "a building has no page"),
+        (("p.geojson", "--set", "position_sigma=1"), "of a plan only the corridors"),
+        (("p.geojson", "--corridors", "none.geojson"), "there is no such file"),
+        (("A.map.json", "--corridors", "p.geojson"), "has no option 'corridors'"),
+        (("r.fused.json", "--set", "type=tree"), "is a result"),
+        (("d.log.jsonl", "--set", "type=tree"), "is a log"),
     ],
 )
 def test_what_can_t_be_shown_is_said_in_one_sentence(

@@ -1,0 +1,160 @@
+"""`mapfuse batch` on recorded maps: Victoria Park's 200 local maps; MRCLAM's 15 with three indoor object maps.
+
+    .venv/bin/python benchmarks/batch_folders.py SHARED_DATA RUNS victoria-park [--maps 200] [--jobs 2]
+    .venv/bin/python benchmarks/batch_folders.py SHARED_DATA RUNS arenas
+
+SHARED_DATA is not part of the repository; ids are dropped and frames are each map's own. RUNS keeps folders and
+ledgers, so that a measurement that was stopped goes on. Quick form: ``--maps 20``. What is printed goes into
+``benchmarks/results/batch-folders.md`` by hand, with what it ran on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat
+from scipy.optimize import least_squares
+from scipy.sparse import lil_array
+
+from mapfuse.datasets import JointCovariance, Landmark, LandmarkMap, Noise, read_map, se2, write_map
+from mapfuse.fusion.batch.engine import LocalEngine
+from mapfuse.fusion.batch.run import run_batch
+from mapfuse.fusion.config import FuseConfig
+
+Array = NDArray[np.float64]
+
+#: As in tests/conftest.py: set knowing the residuals, one value per data set.
+SLIDESLAM_NOISE = Noise(position_sigma=0.25, detection_rate=0.6, false_alarm_rate=0.2)
+MRCLAM_NOISE = Noise(position_sigma=0.15, detection_rate=0.95, false_alarm_rate=0.02)
+TREES_NOISE = Noise(position_sigma=0.3, detection_rate=0.8, false_alarm_rate=0.05)
+#: A map is placed wrongly where it disagrees with one of its nearest placed neighbours by more than this [m].
+WRONG_M, NEIGHBOURS = 2.0, 3
+
+
+def victoria_park(data: Path, count: int) -> tuple[list[LandmarkMap], Array]:
+    """The first local maps, ids dropped and shuffled, and their poses (n, 3) solved with the true ids."""
+    rng = np.random.default_rng(30)
+    maps, ids, ends, at = [], [], [], []
+    for number in range(1, count + 1):
+        file = loadmat(data / "vicpark_local_maps" / f"localmap_{number}.mat")
+        state, P = file["localmap_st"], file["localmap_P"]
+        ends.append(state[:3, 1])
+        tree, xy = state[3::2, 0].astype(int), state[3:, 1].reshape(-1, 2)
+        order = rng.permutation(len(tree))
+        rows = (3 + 2 * order[:, None] + np.arange(2)).ravel()
+        C = P[np.ix_(rows, rows)]
+        marks = tuple(Landmark(f"p{k}", "tree", *xy[i].tolist()) for k, i in enumerate(order.tolist()))
+        joint = JointCovariance(tuple(m.id for m in marks), 2, (C + C.T) / 2)
+        maps.append(LandmarkMap(f"v{number:03d}", marks, noise=TREES_NOISE, joint_covariance=joint))
+        ids.append(tree)
+        at.append(xy)
+    return maps, _solved(ids, at, ends)
+
+
+def _solved(ids: list[Array], at: list[Array], ends: list[Array]) -> Array:
+    """Poses of local maps that see trees with known ids: least squares over all sightings."""
+    n = len(ids)
+    start = np.zeros((n, 3))
+    for k in range(1, n):
+        start[k] = se2.compose(start[k - 1], ends[k - 1])
+    of_map = np.repeat(np.arange(n), [len(i) for i in ids])
+    known, tree = np.unique(np.concatenate(ids), return_inverse=True)
+    seen = np.concatenate(at)
+    world = se2.transform(start[of_map], seen)
+    first = np.array([world[tree == j].mean(axis=0) for j in range(len(known))])
+
+    def residuals(x: Array) -> Array:
+        poses, trees = x[: 3 * n].reshape(-1, 3), x[3 * n :].reshape(-1, 2)
+        return np.concatenate([(se2.transform(poses[of_map], seen) - trees[tree]).ravel(), 100 * poses[0]])
+
+    pattern = lil_array((2 * len(seen) + 3, 3 * n + 2 * len(known)), dtype=int)
+    for row in range(len(seen)):
+        pattern[2 * row : 2 * row + 2, 3 * of_map[row] : 3 * of_map[row] + 3] = 1
+        pattern[2 * row : 2 * row + 2, 3 * n + 2 * tree[row] : 3 * n + 2 * tree[row] + 2] = 1
+    pattern[2 * len(seen) :, :3] = 1
+    found = least_squares(
+        residuals, np.concatenate([start.ravel(), first.ravel()]), jac_sparsity=pattern, loss="cauchy", f_scale=0.3
+    )
+    return np.asarray(found.x[: 3 * n].reshape(-1, 3))
+
+
+def arenas(data: Path) -> list[LandmarkMap]:
+    """All five robots of three MRCLAM sets, tubes without names, and three indoor object maps."""
+    rng = np.random.default_rng(20)
+    maps = []
+    for path in sorted((data / "mrclam" / "derived").glob("*.csv")):
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        order = rng.permutation(len(rows))
+        marks = tuple(
+            Landmark(
+                f"p{k}", "tube", float(rows[i]["x_m"]), float(rows[i]["y_m"]), detection_counter=int(rows[i]["n_obs"])
+            )
+            for k, i in enumerate(order.tolist())
+        )
+        maps.append(LandmarkMap(path.stem, marks, noise=MRCLAM_NOISE))
+    for path in sorted((data / "slideslam").glob("*_indoor.txt")):
+        objects = rng.permutation(np.loadtxt(path))
+        marks = tuple(Landmark(f"p{k}", f"class-{int(c)}", x, y) for k, (c, x, y, _) in enumerate(objects.tolist()))
+        maps.append(LandmarkMap(path.stem, marks, noise=SLIDESLAM_NOISE))
+    return maps
+
+
+def judged(poses: Array, names: list[str], maps: list[LandmarkMap], run: Path) -> str:
+    """How many maps are placed, in how many groups, and which disagree with their nearest placed neighbours."""
+    place = {name: k for k, name in enumerate(names)}
+    with (run / "maps.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["group"]]
+    placed = {row["map"]: (row["group"], np.array([float(row[k]) for k in ("x", "y", "theta")])) for row in rows}
+    wrong = set()
+    for name, (group, T) in placed.items():
+        beside = [other for other, (g, _) in placed.items() if g == group and other != name]
+        beside.sort(key=lambda other: float(np.hypot(*(poses[place[other]] - poses[place[name]])[:2])))
+        for other in beside[:NEIGHBOURS]:
+            found = se2.between(placed[other][1], T)
+            truth = se2.between(poses[place[other]], poses[place[name]])
+            at = maps[place[name]].positions
+            if np.hypot(*(se2.transform(found, at) - se2.transform(truth, at)).T).mean() > WRONG_M:
+                wrong.add(name)
+    sizes = sorted((sum(g == k for g, _ in placed.values()) for k in {g for g, _ in placed.values()}), reverse=True)
+    return f"{len(placed)} of {len(names)} placed, groups of {sizes}; disagree with neighbours: {sorted(wrong)}"
+
+
+def main() -> None:
+    """Run one folder and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("runs", type=Path)
+    parser.add_argument("which", choices=["victoria-park", "arenas"])
+    parser.add_argument("--maps", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=2)
+    args = parser.parse_args()
+    poses = None
+    if args.which == "arenas":
+        maps = arenas(args.data)
+    else:
+        maps, poses = victoria_park(args.data, args.maps)
+    folder = args.runs / f"{args.which}-{len(maps)}"
+    folder.mkdir(parents=True, exist_ok=True)
+    for recorded in maps:
+        write_map(recorded, folder / f"{recorded.name}.map.json")
+    run = args.runs / f"{args.which}-{len(maps)}-run"
+    begin = time.perf_counter()
+    with closing(LocalEngine(args.jobs)) as engine:
+        summary = run_batch(folder, run, FuseConfig(), engine)
+    print(f"{summary}\n{time.perf_counter() - begin:.0f} s with {args.jobs} workers")
+    if poses is not None:
+        print(judged(poses, [m.name for m in maps], [read_map(folder / f"{m.name}.map.json") for m in maps], run))
+    for path in sorted((run / "groups").glob("*.json")):
+        print(path.name, json.loads(path.read_bytes())["groups"])
+
+
+if __name__ == "__main__":
+    main()
