@@ -100,45 +100,40 @@ def overlays(A, i, B, j, rotation):
     return same, other, shift, variance
 
 
+class Turned(NamedTuple):
+    """Map 2 as seen under a T12: cosine and sine of its rotation, and of each landmark the two entries of the Jacobian
+    of ``T p2`` by T that aren't 0 or 1 (n2,)."""
+
+    c: float
+    s: float
+    x: Array
+    y: Array
+
+
 @kernel
-def jacobian(B, T0, j):
-    """Of ``T p2`` and its heading by T at ``T0``, of landmark j of map 2: its two entries that aren't 0 or 1."""
+def turned(B, T0):
+    """Map 2 under ``T0``."""
     c, s = np.cos(T0[2]), np.sin(T0[2])
-    return -s * B.xy[j, 0] - c * B.xy[j, 1], c * B.xy[j, 0] - s * B.xy[j, 1]
+    return Turned(c, s, -s * B.xy[:, 0] - c * B.xy[:, 1], c * B.xy[:, 0] - s * B.xy[:, 1])
 
 
 @kernel
-def jacobian_columns(B, T0, j):
-    """`jacobian` of many landmarks: (k,) each."""
-    x, y = np.empty(len(j)), np.empty(len(j))
-    for n in range(len(j)):
-        x[n], y[n] = jacobian(B, T0, j[n])
-    return x, y
-
-
-@kernel
-def turned_block(B, j, k, c, s, out):
-    """``R P2[j, k] R'`` with R the rotation by T0's angle (3, 3), into ``out``."""
+def shared_block(A, i, k, B, j, m, by, prior_sigma, out):
+    """Covariance (3, 3) of the residuals of the pairs (i, j) and (k, m), their own noise left out, into ``out``:
+    ``P1[i, k] + R P2[j, m] R' + J_j S J_m'``, map 2 being turned ``by`` T0."""
+    c, s = by.c, by.s
     P = B.covariance
-    a, b = 3 * j, 3 * k
-    for m in range(3):  # rows turned
-        x, y = P[a, b + m], P[a + 1, b + m]
-        out[0, m], out[1, m], out[2, m] = c * x - s * y, s * x + c * y, P[a + 2, b + m]
-    for m in range(3):
-        x, y = out[m, 0], out[m, 1]
-        out[m, 0], out[m, 1] = c * x - s * y, s * x + c * y
-
-
-@kernel
-def shared_block(A, i, k, B, j, m, T0, prior_sigma, out):
-    """Covariance (3, 3) of the residuals of the pairs (i, j) and (k, m), their own noise left out, into ``out``."""
-    c, s = np.cos(T0[2]), np.sin(T0[2])
-    turned_block(B, j, m, c, s, out)
+    a, b = 3 * j, 3 * m
+    for n in range(3):  # rows turned
+        x, y = P[a, b + n], P[a + 1, b + n]
+        out[0, n], out[1, n], out[2, n] = c * x - s * y, s * x + c * y, P[a + 2, b + n]
+    for n in range(3):
+        x, y = out[n, 0], out[n, 1]
+        out[n, 0], out[n, 1] = c * x - s * y, s * x + c * y
     for a in range(3):
         for b in range(3):
             out[a, b] += A.covariance[3 * i + a, 3 * k + b]
-    x1, y1 = jacobian(B, T0, j)
-    x2, y2 = jacobian(B, T0, m)
+    x1, y1, x2, y2 = by.x[j], by.y[j], by.x[m], by.y[m]
     xx, yy, tt = prior_sigma[0] ** 2, prior_sigma[1] ** 2, prior_sigma[2] ** 2
     out[0, 0] += xx + x1 * x2 * tt
     out[0, 1] += x1 * y2 * tt
@@ -168,11 +163,12 @@ def residuals(A, B, T0, i, j, shift):
 def covariance(A, B, T0, i, j, variance, prior_sigma):
     """Of the residuals of all pairs, T12's prior included (3k, 3k)."""
     k = len(i)
+    by = turned(B, T0)
     C = np.empty((3 * k, 3 * k))
     block = np.empty((3, 3))
     for n in range(k):
         for m in range(n + 1):
-            shared_block(A, i[n], i[m], B, j[n], j[m], T0, prior_sigma, block)
+            shared_block(A, i[n], i[m], B, j[n], j[m], by, prior_sigma, block)
             for a in range(3):
                 for b in range(3):
                     C[3 * n + a, 3 * m + b] = block[a, b]
@@ -208,11 +204,11 @@ def joined(A, B, T0, i, j, prior_sigma):
     inverse = inverse_of_factor(np.linalg.cholesky(covariance(A, B, T0, i, j, variance, prior_sigma)))
     weights = inverse.T @ (inverse @ r)
     step = np.zeros(3)
+    by = turned(B, T0)
     for n in range(len(i)):
-        x, y = jacobian(B, T0, j[n])
         step[0] += weights[3 * n]
         step[1] += weights[3 * n + 1]
-        step[2] += x * weights[3 * n] + y * weights[3 * n + 1] + weights[3 * n + 2]
+        step[2] += by.x[j[n]] * weights[3 * n] + by.y[j[n]] * weights[3 * n + 1] + weights[3 * n + 2]
     T12 = T0 + prior_sigma**2 * step
     T12[2] = wrap(T12[2])
     return r, inverse, weights, T12
@@ -253,19 +249,20 @@ def predicted(A, B, T0, i, j, inverse, weights, at_i, at_j, prior_sigma):
     innovation = residuals(A, B, T0, at_i, at_j, shift).reshape(m, 3)
     V = np.empty((m, 3, 3))
     block = np.empty((3, 3))
+    by = turned(B, T0)
     for begin in range(0, m, BATCH):
         end = min(begin + BATCH, m)
         cross = np.empty((3 * (end - begin), 3 * k))
         for n in range(begin, end):
             for l in range(k):
-                shared_block(A, at_i[n], i[l], B, at_j[n], j[l], T0, prior_sigma, block)
+                shared_block(A, at_i[n], i[l], B, at_j[n], j[l], by, prior_sigma, block)
                 for a in range(3):
                     for b in range(3):
                         cross[3 * (n - begin) + a, 3 * l + b] = block[a, b]
         explained = cross @ weights
         X = cross @ inverse.T
         for n in range(begin, end):
-            shared_block(A, at_i[n], at_i[n], B, at_j[n], at_j[n], T0, prior_sigma, block)
+            shared_block(A, at_i[n], at_i[n], B, at_j[n], at_j[n], by, prior_sigma, block)
             first = 3 * (n - begin)
             for a in range(3):
                 innovation[n, a] -= explained[first + a]

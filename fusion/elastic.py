@@ -111,7 +111,8 @@ class Joined:
     def J(self) -> Array:
         """Jacobians of the pairs by T12 (3k, 3), for errors added to (x, y, theta) of T12."""
         J = np.tile(np.eye(3), (len(self.j), 1, 1))
-        J[:, 0, 2], J[:, 1, 2] = growth_kernels().jacobian_columns(self._sides[1], self.T0, self.j)
+        by = growth_kernels().turned(self._sides[1], self.T0)
+        J[:, 0, 2], J[:, 1, 2] = by.x[self.j], by.y[self.j]
         return J.reshape(-1, 3)
 
     @property

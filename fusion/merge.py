@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import lil_array
 
-from mapfuse.datasets import se2
 from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable, signature
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, LinkType
+from mapfuse.factors.axes import wrapped
 from mapfuse.factors.correspondence import SAME_HEADING, SAME_PLACE
 from mapfuse.factors.heading import arms_variance
 
@@ -53,7 +54,7 @@ def _joined_link(a: Link, b: Link, weight_b: float) -> Link:
     compass = float(np.angle(np.exp(1j * np.array(readings)).sum())) if readings else None
     return Link(
         type=min(a.type, b.type, key=SURER.index),
-        heading=float(se2.wrap(a.heading + weight_b * se2.wrap(b.heading - a.heading))),
+        heading=wrapped(a.heading + weight_b * wrapped(b.heading - a.heading)),
         compass=compass,
         connected_to_id=one.connected_to_id,
         distance=distance,
@@ -74,7 +75,7 @@ def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
         taken: set[int] = set()
         for link in links:
             near = [
-                (abs(float(se2.wrap(link.heading - other.heading))), k)
+                (abs(wrapped(link.heading - other.heading)), k)
                 for k, other in enumerate(joined)
                 if k not in taken and link.heading is not None and other.heading is not None
             ]
@@ -108,7 +109,7 @@ def merged_landmarks(
     of row 10 of the measurement model away from where it is.
     """
     name_of = {member: names[k] for k, place in enumerate(places) for member in place.members}
-    average = np.zeros((3 * len(places), len(joint)))
+    average = lil_array((3 * len(places), len(joint)))
     joint = joint.copy()
     for k, place in enumerate(places):
         for member in place.members:
@@ -118,7 +119,9 @@ def merged_landmarks(
             arms = len(signature(landmark).headings)
             joint[block + 2, block + 2] += arms_variance(recorded, landmark, arms) + SAME_HEADING**2 / 2
             joint[[block, block + 1], [block, block + 1]] += SAME_PLACE**2 / 2
-    fused_joint = se2.propagate(average, joint)
+    mean = average.tocsr()
+    fused_joint = np.asarray(mean @ (mean @ joint).T)
+    fused_joint = (fused_joint + fused_joint.T) / 2
     landmarks = tuple(
         _landmark(maps, place, poses, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group, name_of)
         for k, place in enumerate(places)
@@ -143,15 +146,8 @@ def _landmark(
     at = np.array([poses[r][k] for r, k in members])
     links = _joined_links(
         [
-            [
-                replace(
-                    link,
-                    heading=None if link.heading is None else float(se2.wrap(link.heading + _turned(l, pose[2]))),
-                    connected_to_id=_target(maps[r], r, link, name_of, name_of[(r, k)]),
-                )
-                for link in l.links
-            ]
-            for l, pose, (r, k) in zip(recorded, at, members, strict=True)
+            _links(landmark, float(pose[2]), maps[r], r, name_of, name_of[(r, k)])
+            for landmark, pose, (r, k) in zip(recorded, at, members, strict=True)
         ]
     )
     x, y = at[:, :2].mean(axis=0)
@@ -177,6 +173,21 @@ def _landmark(
         visit_counter=sum(l.visit_counter for l in recorded),
         detection_counter=sum(l.detection_counter for l in recorded),
     )
+
+
+def _links(
+    landmark: Landmark, heading: float, map_: LandmarkMap, r: int, name_of: Mapping[Member, str], own: str
+) -> list[Link]:
+    """A landmark's links in the group's frame, where it faces ``heading`` [rad], and to the merged landmarks."""
+    turn = _turned(landmark, heading)
+    return [
+        replace(
+            link,
+            heading=None if link.heading is None else wrapped(link.heading + turn),
+            connected_to_id=_target(map_, r, link, name_of, own),
+        )
+        for link in landmark.links
+    ]
 
 
 def _target(map_: LandmarkMap, r: int, link: Link, name_of: Mapping[Member, str], own: str) -> str | None:

@@ -82,7 +82,7 @@ def fuse_files(
     ] = None,
     given: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=anymap.SET_HELP)] = None,
     near: Annotated[
-        list[tuple[str, str, float, float, float, float, float]] | None,
+        tuple[str, str, float, float, float, float, float] | None,
         typer.Option(
             "--near",
             metavar="A B X Y DEG SIGMA_M SIGMA_DEG",
@@ -124,7 +124,7 @@ def fuse_files(
             raise UsageError(f"--reference: none of the maps is named {reference!r}")
         recorded = [as_reference(m) if m.name == reference else m for m in recorded]
     with stages("fusing", quiet=quiet):
-        fused = fuse(recorded, settings, _known(near or []))
+        fused = fuse(recorded, settings, _known(near))
     _write(fused, outputs, as_json=as_json, embed=not no_embed, quiet=quiet)
     if grid is not None:
         grids.write_merged(fused, maps, grid, quiet=quiet or as_json)
@@ -132,20 +132,20 @@ def fuse_files(
         raise typer.Exit(3)
 
 
-def _known(near: Sequence[tuple[str, str, float, float, float, float, float]]) -> list[KnownTransform]:
-    """What ``--near`` says of the maps; raises `UsageError` for a standard deviation that is none."""
+def _known(near: tuple[str, str, float, float, float, float, float] | None) -> list[KnownTransform]:
+    """What ``--near`` says of two maps; raises `UsageError` for a standard deviation that is none."""
+    if near is None:
+        return []
     import numpy as np
 
     from mapfuse.datasets import Transform
     from mapfuse.fusion import KnownTransform
 
-    known = []
-    for first, second, x, y, turn, sigma_m, sigma_deg in near:
-        if not (sigma_m > 0 and sigma_deg > 0):
-            raise UsageError("--near: how well it is known (SIGMA_M, SIGMA_DEG) must be greater than 0")
-        variances = np.array([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
-        known.append(KnownTransform((first, second), Transform(x, y, float(np.deg2rad(turn)), np.diag(variances))))
-    return known
+    first, second, x, y, turn, sigma_m, sigma_deg = near
+    if not (sigma_m > 0 and sigma_deg > 0):
+        raise UsageError("--near: how well it is known (SIGMA_M, SIGMA_DEG) must be greater than 0")
+    variances = np.array([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
+    return [KnownTransform((first, second), Transform(x, y, float(np.deg2rad(turn)), np.diag(variances)))]
 
 
 def _settings(

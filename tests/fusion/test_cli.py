@@ -18,7 +18,7 @@ from mapfuse.datasets import LandmarkMap, read_map, recordings, write_map
 from mapfuse.datasets.errors import ConfigError, MapfuseError
 from mapfuse.datasets.maps import Landmark
 from mapfuse.datasets.transform import Transform
-from mapfuse.fusion import FuseConfig, FusedMap, read_fused
+from mapfuse.fusion import FuseConfig, FusedMap, KnownTransform, read_fused
 from mapfuse.fusion.cli import main
 from mapfuse.fusion.cli.parameters import config_as_toml, config_from_toml, parameter_notes
 from mapfuse.fusion.cli.summary import percent, summarise
@@ -91,7 +91,10 @@ def decided(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Makes `fuse` give a certain answer."""
 
     def decide(decision: str) -> None:
-        monkeypatch.setattr("mapfuse.fusion.fuse", lambda maps, config=None: answer(maps, decision), raising=False)
+        def fuse(maps: Sequence[LandmarkMap], config: object = None, known: object = ()) -> FusedMap:
+            return answer(maps, decision)
+
+        monkeypatch.setattr("mapfuse.fusion.fuse", fuse, raising=False)
 
     return decide
 
@@ -438,7 +441,7 @@ def test_options_outrank_the_parameter_file(
 ) -> None:
     seen: list[FuseConfig] = []
 
-    def remember(maps: Sequence[LandmarkMap], config: FuseConfig) -> FusedMap:
+    def remember(maps: Sequence[LandmarkMap], config: FuseConfig, known: object = ()) -> FusedMap:
         seen.append(config)
         return answer(maps, "no_overlap")
 
@@ -451,3 +454,25 @@ def test_options_outrank_the_parameter_file(
         (0.8, 0.1, "paper"),
         (0.9, 0.25, "default"),
     ]
+
+
+def test_what_is_known_of_a_transformation_reaches_fuse(
+    command: Command, two_maps: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[object] = []
+
+    def remember(maps: Sequence[LandmarkMap], config: FuseConfig, known: Sequence[KnownTransform] = ()) -> FusedMap:
+        seen.extend(known)
+        return answer(maps, "ambiguous")
+
+    monkeypatch.setattr("mapfuse.fusion.fuse", remember, raising=False)
+    names = [read_map(path).name for path in two_maps]
+    assert command("fuse", *two_maps, "--near", *names, "3", "-2", "90", "0.5", "10") == 0
+    (known,) = seen
+    assert isinstance(known, KnownTransform)
+    assert (known.maps, known.T12.array.tolist()) == (tuple(names), pytest.approx([3.0, -2.0, np.pi / 2]))
+    assert np.sqrt(np.diag(known.T12.covariance)) == pytest.approx([0.5, 0.5, np.deg2rad(10)])
+    assert command("fuse", *two_maps, "--near", *names, "3", "-2", "90", "0", "10") == 2
+    assert "must be greater than 0" in capsys.readouterr().err
+    assert command("fuse", *two_maps, "--reference", "nobody") == 2
+    assert "none of the maps is named 'nobody'" in capsys.readouterr().err

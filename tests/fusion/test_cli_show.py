@@ -160,7 +160,7 @@ def test_no_window_without_a_display(
 
 @pytest.fixture
 def fusing(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fuse(maps: list[LandmarkMap], config: object = None) -> FusedMap:
+    def fuse(maps: list[LandmarkMap], config: object = None, known: object = ()) -> FusedMap:
         del config
         list(told(("A", "B"), "pairs of maps compared"))
         return fused_of(list(maps))
