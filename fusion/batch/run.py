@@ -78,8 +78,8 @@ def run_batch(
 ) -> Summary:
     """Fuse the maps of a folder into the folder ``run``; what an earlier run did is not done again.
 
-    ``without``: names of maps to leave out. ``told``: what files of other formats don't say. ``watch``: told how far the
-    work has come. ``compare``: what a worker does with a pair.
+    ``without``: names of maps to leave out. ``told``: what files of other formats don't say. ``watch``: told how far
+    the work has come. ``compare``: what a worker does with a pair.
 
     Raises `InputError` where there is no such folder, `ConfigError` for an option that no format has and where noise is
     to be estimated, which takes a group's maps at once, `OutputError` where ``run`` can't be written; all that was done
