@@ -91,8 +91,7 @@ def _candidate(candidate: Candidate) -> list[Any]:
         transform_list(candidate.T12),
         candidate.matches,
         asdict(candidate.terms),
-        candidate.missed1,
-        candidate.missed2,
+        [candidate.missed1, candidate.missed2, candidate.through1, candidate.through2],
     ]
 
 
@@ -110,8 +109,8 @@ def comparison_from_bytes(data: bytes) -> Comparison:
     """The comparison of `comparison_bytes`."""
     record = _unpack(data)
     candidates = tuple(
-        Candidate(_transform(T), tuple((i, j) for i, j in matches), Terms(**terms), tuple(missed1), tuple(missed2))
-        for T, matches, terms, missed1, missed2 in record["candidates"]
+        Candidate(_transform(T), tuple((i, j) for i, j in matches), Terms(**terms), *map(tuple, passed))
+        for T, matches, terms, passed in record["candidates"]
     )
     return Comparison(
         maps=(record["maps"][0], record["maps"][1]),
