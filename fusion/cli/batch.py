@@ -95,6 +95,7 @@ def batch(
         from mapfuse.fusion.report import batch_report
 
         batch_report(run, report)
+    _complain(summary, run)
     if not quiet:
         _say(summary, run, report)
     if strict and not summary.flawless:
@@ -124,11 +125,14 @@ def _status(run: Path | None) -> None:
     say("finished: its files are written" if s.finished else "not finished; the same command goes on with it")
 
 
-def _say(summary: Summary, run: Path, report: Path | None) -> None:
+def _complain(summary: Summary, run: Path) -> None:
     for problem in summary.problems[:_SHOWN]:
         note(f"failed: {problem}")
     if len(summary.problems) > _SHOWN:
         note(f"and {len(summary.problems) - _SHOWN} more; {run / 'pairs.csv'} and {run / 'maps.csv'} name all")
+
+
+def _say(summary: Summary, run: Path, report: Path | None) -> None:
     alone = summary.maps - summary.grouped
     say(
         f"{summary.maps} maps: {summary.grouped} in {summary.groups} groups, {alone} alone; "

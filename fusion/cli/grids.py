@@ -45,7 +45,8 @@ def write_merged(fused: FusedMap, maps: Sequence[Path], target: Path, *, quiet: 
     if fused.decision != "merged":
         note(f"{target} was not written: the maps were not merged")
         return
-    grids: list[Grid] = [read_grid(path).grid for path in _paths(maps)]
+    read = [read_grid(path).grid for path in _paths(maps)]
+    grids: list[Grid] = [grid for grid in read if grid.name in fused.frames]  # `--without` may have left one out
     poses = [fused.frames[grid.name].T.array for grid in grids]
     written = write_grid(merged_grid(grids, poses, target.stem), target)
     if not quiet:
