@@ -74,8 +74,8 @@ def grow_all(
 def _worth_growing(
     hypotheses: list[Hypothesis], m1: PreparedMap, m2: PreparedMap, config: FuseConfig
 ) -> list[Hypothesis]:
-    """Those that are not far behind the best one; all, where scores are no nats or a bend may turn them around."""
-    if config.matching.mode == "paper" or not (m1.headed.all() and m2.headed.all()):
+    """Those that are not far behind the best one; all, where scores are counts, or those of points under a bend."""
+    if config.matching.mode == "paper" or not (m1.headed.any() and m2.headed.any()):
         return hypotheses
     best = max((h.score for h in hypotheses), default=0.0)
     return [h for h in hypotheses if h.score > best - HOPELESS]
