@@ -195,8 +195,8 @@ class FusedMap:
     landmarks: tuple[FusedLandmark, ...]
     provenance: Mapping[str, Any]
     sources: Mapping[str, LandmarkMap] = field(default_factory=dict)
-    noise: Mapping[str, NoiseFit] = field(default_factory=dict)
     joint_covariances: tuple[JointCovariance | None, ...] = field(default=(), compare=False)
+    noise: Mapping[str, NoiseFit] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __eq__(self, other: object) -> bool:

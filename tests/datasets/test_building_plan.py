@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mapfuse.datasets import FileFormatError, InputError, MapfuseError
+from mapfuse.datasets.errors import TooLargeError
 from mapfuse.datasets.simulation import (
     build,
     building_from_plan,
@@ -360,9 +361,9 @@ def test_plans_that_are_too_much_are_refused(tmp_path):
     zigzag = [(k % 2 * 30.0, k * 0.6) for k in range(4000)]
     with pytest.raises(FileFormatError, match="straight pieces of corridor; at most"):
         building_from_plan(written(tmp_path, document(line("path", *zigzag))))
-    comb = [line("wall", (0, y * 0.01), (4000, y * 0.01)) for y in range(10)]
-    with pytest.raises(FileFormatError, match="m of walls; at most"):
-        building_from_plan(written(tmp_path, document(*comb)))
+    wide = [line("wall", (0, y), (900, y)) for y in (0, 900)]
+    with pytest.raises(TooLargeError, match="cells of plan; at most"):
+        building_from_plan(written(tmp_path, document(*wide)))
     with pytest.raises(InputError, match="there is no such file"):
         building_from_plan(tmp_path / "none.geojson")
 

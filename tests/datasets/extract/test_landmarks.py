@@ -104,8 +104,14 @@ def test_a_turned_grid_has_the_same_landmarks(turn):
     # ends are where a middle line stops, which is the least certain
     assert off[np.array(map1.types) == "junction"].max() < 0.15
     assert off.max() < 0.5
-    for k, j in enumerate(apart.argmin(axis=1).tolist()):
-        assert signature(map1.landmarks[k]).kind == signature(map2.landmarks[j]).kind
+    kinds = [
+        (signature(map1.landmarks[k]).kind, signature(map2.landmarks[j]).kind)
+        for k, j in enumerate(apart.argmin(axis=1).tolist())
+    ]
+    # an arm that too few looks agree on is left out, and the kind then unknown
+    known = [pair for pair in kinds if Kind.UNKNOWN not in pair]
+    assert len(known) >= len(kinds) - 1
+    assert all(one == two for one, two in known)
 
 
 def test_a_grid_with_a_turned_origin_gives_the_turned_map():

@@ -71,8 +71,8 @@ ALL = [*FILES, *READ_ONLY, "mat"]
 
 
 def test_every_reader_of_single_files_is_tried():
-    of_folders = {"map", "mrclam", "rosbag", "graphnav"}  # which have hostile tests of their own
-    assert {one.name for one in formats() if one.reads} == {*ALL, *of_folders}
+    elsewhere = {"map", "mrclam", "rosbag", "graphnav", "ros_map", "plan"}  # which have hostile tests of their own
+    assert {one.name for one in formats() if one.reads} == {*ALL, *elsewhere}
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -53,6 +53,8 @@ def test_every_reader_is_in_the_samples_or_has_tests_of_its_own():
         "mat",
         "mrclam",
         "parquet",
+        "plan",
+        "ros_map",
         "rosbag",
     }
 
