@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from mapfuse.datasets import FileFormatError, InputError, MapfuseError
-from mapfuse.datasets.errors import TooLargeError
 from mapfuse.datasets.simulation import (
     build,
     building_from_plan,
@@ -362,7 +361,7 @@ def test_plans_that_are_too_much_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match="straight pieces of corridor; at most"):
         building_from_plan(written(tmp_path, document(line("path", *zigzag))))
     wide = [line("wall", (0, y), (900, y)) for y in (0, 900)]
-    with pytest.raises(TooLargeError, match="cells of plan; at most"):
+    with pytest.raises(FileFormatError, match="cells of plan; at most"):
         building_from_plan(written(tmp_path, document(*wide)))
     with pytest.raises(InputError, match="there is no such file"):
         building_from_plan(tmp_path / "none.geojson")
