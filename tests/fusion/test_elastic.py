@@ -230,7 +230,7 @@ def test_gtsam_says_the_same_of_chairs(seed):
 
 @pytest.mark.parametrize("seed", [1, 4])
 def test_brute_force_says_the_same(seed):
-    # The evidence of a small nonlinear case by integration over T12 on a grid, nothing linearised. The landmarks of both
+    # The evidence of a small nonlinear case by integration over T12 on a grid, nothing linearised. Landmarks of both
     # maps are independent: given T12 each pair's residual is normal with P1 + R P2 R' + its own noise.
     joined = headed_pair(seed, n=3)
     sigmas = np.sqrt(np.diag(joined.T12_covariance))
