@@ -156,7 +156,7 @@ def main() -> None:
         print(f"{n:9} {r.poses:6} {1e3 * r.ours_s:7.1f} ms {1e3 * r.gtsam_s:7.1f} ms {r.ratio:6.2f} {r.rejected:8}")
     print(f"\n{'prepare':>9} {'without':>10} {'with dense covariance':>22}")
     for n in arguments.prepare:
-        both = [prepare_seconds(n, arguments.repeat, whole=w) for w in (False, True)[: 1 + (n <= 1000)]]
+        both = [prepare_seconds(n, arguments.repeat, whole=w) for w in (False, True)[: 1 + (n <= 900)]]
         print(f"{n:9} {1e3 * both[0]:7.1f} ms" + (f" {1e3 * both[1]:19.1f} ms" if len(both) > 1 else ""))
     if arguments.large:
         all_covariances(arguments.large)
