@@ -21,7 +21,8 @@ LinkType = Literal["open", "blocked", "door", "unknown"]
 LINK_TYPES: tuple[LinkType, ...] = ("open", "blocked", "door", "unknown")
 
 #: Landmark types with a meaning of their own; any other word is the label of a point landmark.
-SPATIAL_TYPES = ("corner", "junction")
+CORNER = "corner"
+SPATIAL_TYPES = (CORNER, "junction")
 DOOR = "door"
 
 

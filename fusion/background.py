@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets.arms import Kind, signature
+from mapfuse.datasets.maps import CORNER
 
 from .coverage import SeenArea
 from .prepared import PreparedMap
@@ -17,7 +18,6 @@ from .regularity import Gaps, Regularity
 
 Array = NDArray[np.float64]
 
-CORNER = "corner"
 #: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
 ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
 

@@ -95,9 +95,7 @@ class Members:
             else:
                 frames = [self.joint.solution.frame(n) for n in (r, s)]
                 way = self.emptiness.passing(*pair, np.asarray(se2.between(*frames)))
-                through1, through2 = (
-                    tuple(t[m].tolist()) for t, m in ((way.through1, way.missed1), (way.through2, way.missed2))
-                )
+                through1, through2 = way.of_missed
             for k, through in zip(way.missed1, through1, strict=True):
                 found.setdefault((r, int(k)), {})[s] = through
             for k, through in zip(way.missed2, through2, strict=True):

@@ -145,6 +145,18 @@ def test_a_blocked_arm_that_the_other_robot_drove_through():
         assert weighed(*again, BOTH_ENDS).terms.arms == pytest.approx(2 * per_arm)
 
 
+def test_a_corner_that_the_other_robot_drove_straight_across_is_hardly_one():
+    # nothing of its arms says so: they are open along the way. Only its existence is told; what arms contradict isn't.
+    ways = (Link("open", 0.0), Link("open", np.pi))
+    for type_, through in (("corner", 1), ("junction", 0)):
+        found = weighed(corridor("one", Landmark("x", type_, 8.0, 0.0, links=ways)), corridor("two"), BOTH_ENDS)
+        assert (found.missed1, found.through1, found.through2) == ((2,), (through,), ())
+        assert found.terms.arms == 0
+    # within a metre of the end the link may turn there
+    near = weighed(corridor("one", Landmark("x", "corner", 0.5, 0.0, links=ways)), corridor("two"), BOTH_ENDS)
+    assert (near.missed1, near.through1) == ((2,), (0,))
+
+
 def test_arms_that_contradict_at_a_matched_landmark():
     opened = end("west", 0.0, 0.0, "east", LENGTH)
     opened = Landmark("west", "corner", 0.0, 0.0, links=(*opened.links[:1], Link("open", np.pi / 2), *opened.links[2:]))
