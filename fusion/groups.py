@@ -61,10 +61,10 @@ def fuse(
     maps = tuple(maps)
     check_maps(maps)
     check_known_maps(known, {m.name for m in maps})
+    provenance = provenance_of(maps, config, known)
     origins = {m.name: middle(m) for m in maps}
     known = [replace(k, T12=carried(k.T12, *(-origins[name] for name in k.maps))) for k in known]
     near = tuple(shifted(m, origins[m.name]) for m in maps)
-    provenance = provenance_of(maps, config)
     scales = dict.fromkeys(origins, 1.0)
     fused = _fuse(near, scales, known, provenance, config)
     for _ in range(NOISE_ROUNDS if config.solving.estimate_noise else 0):
@@ -122,7 +122,17 @@ def strays(m: LandmarkMap) -> tuple[Problem, ...]:
     return tuple(Problem(f"landmarks[{k}]", f"{m.ids[k]!r} {reason}") for k in np.flatnonzero(off > LARGEST_MAP_M))
 
 
-def provenance_of(maps: Sequence[LandmarkMap], config: FuseConfig) -> dict[str, Any]:
-    """What a result was made of: version, parameters, and a hash of each map."""
+def provenance_of(
+    maps: Sequence[LandmarkMap], config: FuseConfig, known: Sequence[KnownTransform] = ()
+) -> dict[str, Any]:
+    """What a result was made of: version, parameters, a hash of each map, and what was known of where they lie."""
     inputs = {m.name: hashlib.sha256(encode(map_to_dict(m))).hexdigest() for m in maps}
-    return {"mapfuse": version("mapfuse"), "inputs": inputs, "config": asdict(config)}
+    stated = [{"maps": list(k.maps), "T12": k.T12.array.tolist(), "covariance": _rows(k)} for k in known]
+    told = {"known": stated} if stated else {}
+    return {"mapfuse": version("mapfuse"), "inputs": inputs, "config": asdict(config), **told}
+
+
+def _rows(known: KnownTransform) -> list[list[float]]:
+    assert known.T12.covariance is not None
+    rows: list[list[float]] = known.T12.covariance.tolist()
+    return rows

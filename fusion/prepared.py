@@ -58,21 +58,11 @@ class PreparedMap:
     def covariance(self) -> Array:
         """Joint covariance (3n, 3n) over (x, y, heading) of every landmark in order, map axes.
 
-        Raises `TooLargeError` above `MAX_LANDMARKS`: `covariance_blocks` has no such bound.
+        Raises `TooLargeError` above `MAX_LANDMARKS`: those of a few come from ``solution.covariances``, at any size.
         """
         if len(self) > MAX_LANDMARKS:
             raise TooLargeError(_too_large(self.map))
         return np.zeros((0, 0)) if self.solution is None else self.solution.landmark_covariance(0)
-
-    def covariance_blocks(self, i: NDArray[np.intp], j: NDArray[np.intp] | None = None) -> Array:
-        """Covariance (k, 3, 3) of each of the landmarks at ``i`` (k,), or with each one's ``j`` (k,); map axes.
-
-        Those of single landmarks and of linked ones come of one pass, whatever the size of the map.
-        """
-        if self.solution is None:
-            return np.zeros((len(i), 3, 3))
-        keys = self.solution.landmark_keys(0)
-        return self.solution.covariances([keys[k] for k in i], None if j is None else [keys[k] for k in j])
 
     @cached_property
     def straightened(self) -> LandmarkMap:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapfuse.datasets import se2
-
-from .hypothesis import Hypothesis
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -47,29 +43,3 @@ def distinct(T12s: ArrayLike, points2: ArrayLike, tolerance_m: float, limit: int
         left = left[1:]
         left = left[displacement(T12s[left], T12s[best], points2) > tolerance_m]
     return np.array(kept, dtype=np.intp)
-
-
-def distinct_modes(
-    hypotheses: Sequence[Hypothesis], points2: ArrayLike, tolerance_m: float, limit: int
-) -> list[Hypothesis]:
-    """The distinct ones of hypotheses given best first, at most ``limit``; each keeps the seeds of what it stands for.
-
-    ``points2`` (n, 2): positions of map 2's landmarks; ``tolerance_m`` [m]: see `distinct`.
-    """
-    if not hypotheses:
-        return []
-    T12s = np.array([h.T12.array for h in hypotheses])
-    kept = distinct(T12s, points2, tolerance_m, limit)
-    apart = displacement(T12s[:, None], T12s[kept], points2)
-    # A dropped one belongs to the first that it is near to; beyond the limit it may belong to none.
-    owner = np.where((apart <= tolerance_m).any(axis=1), np.argmax(apart <= tolerance_m, axis=1), -1)
-    owner[kept] = np.arange(len(kept))
-    return [
-        Hypothesis(h.T12, h.count, h.correspondences, _joined_seeds(hypotheses, owner == k), h.score)
-        for k, h in enumerate(hypotheses[place] for place in kept.tolist())
-    ]
-
-
-def _joined_seeds(hypotheses: Sequence[Hypothesis], mine: NDArray[np.bool_]) -> tuple[tuple[str, str], ...]:
-    seeds = (seed for place in np.flatnonzero(mine).tolist() for seed in hypotheses[place].seed)
-    return tuple(dict.fromkeys(seeds))

@@ -173,10 +173,6 @@ def _start(building: Building, rng: np.random.Generator) -> str:
     return str(rng.choice(places))
 
 
-def _or_never(value: float | None) -> float:
-    return np.inf if value is None else value
-
-
 def _before_more(driven: Drive, seen: list[Sighting], landmarks: int) -> tuple[Drive, list[Sighting]]:
     """The drive until just before it detects more than so many landmarks."""
     times = first_times(seen)

@@ -198,3 +198,13 @@ def plan_of(floor):
             arms.append(Link(arm.type, float(se2.wrap(arm.direction)), None, near, distance, 1 if near else 0))
         landmarks.append(Landmark(place.id, place.type, place.x, place.y, links=tuple(arms)))
     return LandmarkMap("plan", tuple(landmarks))
+
+
+def test_a_result_says_what_was_known(symmetric):
+    map1, map2, truth = symmetric
+    assert "known" not in fuse([map1, map2]).provenance
+    known = about(truth)
+    (told,) = fuse([map1, map2], known=[known]).provenance["known"]
+    assert told["maps"] == ["A", "B"]
+    assert told["T12"] == pytest.approx(known.T12.array)
+    np.testing.assert_array_equal(told["covariance"], known.T12.covariance)
