@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.fusion.background import Background
+from mapfuse.fusion.coincidence import _visits, corridor_matches
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
+from mapfuse.fusion.elastic import Joined
 from mapfuse.fusion.prepared import prepare
 from mapfuse.fusion.regularity import DOUBT, ON_A_LINE, Gaps, Regularity, pitch_of
 
@@ -142,3 +145,21 @@ def test_labels_are_compared_by_name_across_maps():
     found = regularity(m1, m2)
     assert isinstance(found, Regularity)
     assert found.gaps1.label.tolist() == found.gaps2.label[::-1].tolist()
+
+
+def test_a_match_in_a_rhythm_is_worth_less_by_what_the_rhythm_says():
+    # doors 3 m after each junction: that the other map has one there, too, is no surprise
+    junctions = (0, 14, 31, 45, 66)
+    stations = sorted([*((x, "junction") for x in (*junctions, 160)), *((x + 3, "door") for x in junctions)])
+    m1, m2 = along_x("a", stations), along_x("b", stations[:2])
+    both = np.array([0, 1])
+    joined = Joined(m1, m2, np.zeros(3), both, both)
+    background = Background(m1, m2)
+    order, along = _visits(m1, both, 0.0)
+    share = background.regularity(ANGLE).shares(order, order, m1.positions[order], along, background.rates1[order])
+    assert share[1] > 0.1
+    # each map knows the 3 m between the two by one reading, and two robots mean the same place to 0.05 m
+    density = norm.pdf(0.0, scale=np.sqrt(2 * (0.1 + 0.02 * 3) ** 2 + 2 * 0.05**2))
+    _, regular = corridor_matches(joined, background, ANGLE)
+    assert regular == pytest.approx(-np.log1p(share[1] * density / background.rates1[order[1]]), rel=1e-3)
+    assert regular < -0.5
