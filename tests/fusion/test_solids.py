@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import os
 from collections import Counter
 from pathlib import Path
@@ -136,27 +135,19 @@ def test_a_mesh_s_normals_look_out_of_it() -> None:
 
 
 def test_without_open3d_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
+    def without(name: str) -> Any:
+        raise ImportError(f"No module named {name!r}")
 
-    def without(name: str, *arguments: Any, **more: Any) -> Any:
-        if name == "open3d":
-            raise ImportError("No module named 'open3d'")
-        return real(name, *arguments, **more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(viewer, "import_module", without)
     with pytest.raises(MapfuseError, match=r"needs Open3D.*install mapfuse\[open3d\]"):
         viewer.open3d()
 
 
 def test_a_missing_library_of_open3d_s_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
+    def broken(name: str) -> Any:
+        raise OSError("libusb-1.0.so.0: cannot open shared object file")
 
-    def broken(name: str, *arguments: Any, **more: Any) -> Any:
-        if name == "open3d":
-            raise OSError("libusb-1.0.so.0: cannot open shared object file")
-        return real(name, *arguments, **more)
-
-    monkeypatch.setattr(builtins, "__import__", broken)
+    monkeypatch.setattr(viewer, "import_module", broken)
     with pytest.raises(MapfuseError, match=r"libusb-1\.0\.so\.0.*on Debian it needs the packages libusb"):
         viewer.open3d()
 
