@@ -17,11 +17,10 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
-from scipy.optimize import least_squares
-from scipy.sparse import lil_array
 
 from mapfuse.datasets import JointCovariance, Landmark, LandmarkMap, Noise, read_map, se2, write_map
 from mapfuse.fusion.batch.engine import LocalEngine
@@ -60,29 +59,33 @@ def victoria_park(data: Path, count: int) -> tuple[list[LandmarkMap], Array]:
 
 def _solved(ids: list[Array], at: list[Array], ends: list[Array]) -> Array:
     """Poses of local maps that see trees with known ids: least squares over all sightings."""
-    n = len(ids)
-    start = np.zeros((n, 3))
-    for k in range(1, n):
-        start[k] = se2.compose(start[k - 1], ends[k - 1])
-    of_map = np.repeat(np.arange(n), [len(i) for i in ids])
-    known, tree = np.unique(np.concatenate(ids), return_inverse=True)
-    seen = np.concatenate(at)
-    world = se2.transform(start[of_map], seen)
-    first = np.array([world[tree == j].mean(axis=0) for j in range(len(known))])
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.addPriorPose2(0, gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-3))
+    start = np.zeros(3)
+    for k in range(len(ids)):
+        if k:
+            start = se2.compose(start, ends[k - 1])
+        values.insert(k, gtsam.Pose2(*start))
+        for tree, (x, y) in zip(ids[k].tolist(), at[k], strict=True):
+            key, distance = gtsam.symbol("t", tree), float(np.hypot(x, y))
+            if not values.exists(key):
+                values.insert(key, gtsam.Point2(*se2.transform(start, np.array([x, y]))))
+            graph.add(gtsam.BearingRangeFactor2D(k, key, gtsam.Rot2(np.arctan2(y, x)), distance, _sighting(distance)))
+    # plain first: from where the odometry left it, the robust cost would let go of the loops that it has to close
+    values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    robust = gtsam.NonlinearFactorGraph()
+    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
+    for factor in (graph.at(i) for i in range(graph.size())):
+        model = factor.noiseModel()
+        robust.add(factor.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(cauchy, model)))
+    values = gtsam.LevenbergMarquardtOptimizer(robust, values).optimize()
+    poses = (values.atPose2(k) for k in range(len(ids)))
+    return np.array([[pose.x(), pose.y(), pose.theta()] for pose in poses])
 
-    def residuals(x: Array) -> Array:
-        poses, trees = x[: 3 * n].reshape(-1, 3), x[3 * n :].reshape(-1, 2)
-        return np.concatenate([(se2.transform(poses[of_map], seen) - trees[tree]).ravel(), 100 * poses[0]])
 
-    pattern = lil_array((2 * len(seen) + 3, 3 * n + 2 * len(known)), dtype=int)
-    for row in range(len(seen)):
-        pattern[2 * row : 2 * row + 2, 3 * of_map[row] : 3 * of_map[row] + 3] = 1
-        pattern[2 * row : 2 * row + 2, 3 * n + 2 * tree[row] : 3 * n + 2 * tree[row] + 2] = 1
-    pattern[2 * len(seen) :, :3] = 1
-    found = least_squares(
-        residuals, np.concatenate([start.ravel(), first.ravel()]), jac_sparsity=pattern, loss="cauchy", f_scale=0.3
-    )
-    return np.asarray(found.x[: 3 * n].reshape(-1, 3))
+def _sighting(distance: float) -> gtsam.noiseModel.Diagonal:
+    """0.3 m across and along, as bearing [rad] and range [m]."""
+    return gtsam.noiseModel.Diagonal.Sigmas(np.array([0.3 / max(distance, 1.0), 0.3]))
 
 
 def arenas(data: Path) -> list[LandmarkMap]:

@@ -10,9 +10,10 @@ Measured: docs/batch.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import signature
-from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets.maps import JointCovariance, LandmarkMap
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -29,8 +30,9 @@ Indices = NDArray[np.intp]
 NEIGHBOURS = 8
 #: How far two triangles may be apart to be alike, in standard deviations of the difference of their sides.
 ALIKE = 3.0
-#: A length differs between two maps by this share of it at one sigma, besides its fixed part.
-PER_METRE = 0.03
+#: A length differs between two maps by this share of it at one sigma, besides its fixed part: where a map doesn't say,
+#: and at least.
+PER_METRE, LEAST_PER_METRE = 0.03, 0.004
 #: What arms that contradict take off a vote: this factor each, up to so many.
 CONTRADICTED, MAX_CONTRADICTIONS = 0.5, 1
 #: Directions of arms are told in so many steps of a turn; those no further apart than `ARM_APART` steps are one.
@@ -43,8 +45,10 @@ CELL = (3.0, 3.0, 0.2)
 SURE, FAINT, PARTNERS = 30.0, 6.0, 20
 #: With so few maps all pairs are tried: what is rare can't be told yet.
 FEW = 12
-#: Maps looked up at once.
-BLOCK = 64
+#: A triangle without arms that is like so many others, and so votes with less than this [nats], isn't asked.
+MANY, COMMON = 300, 0.5
+#: Maps looked up at once: so many, and fewer where that would be more hits than this.
+BLOCK, MOST_HITS = 64, 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,17 @@ class Proposal:
     map1: str
     map2: str
     score: float
+
+
+class _LengthNoise(NamedTuple):
+    """Standard deviation of a length between two landmarks: a fixed part [m], and a share of the length."""
+
+    fixed: float
+    share: float
+
+    def and_of(self, other: _LengthNoise) -> _LengthNoise:
+        """Of the difference of a length in two maps."""
+        return _LengthNoise(float(np.hypot(self.fixed, other.fixed)), max(self.share, other.share))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,7 +85,7 @@ class _Map:
     ways: NDArray[np.int64]
     walls: NDArray[np.int64]
     triangles: NDArray[np.int16]
-    sigma: float
+    noise: _LengthNoise
 
 
 class MapIndex:
@@ -99,6 +114,7 @@ class MapIndex:
             for heading, passable in zip(found.headings, found.passable, strict=True):
                 (ways if passable else walls)[k] |= 1 << round(heading * SECTORS / (2 * np.pi)) % SECTORS
         labels = [self._labels.setdefault(type_, len(self._labels)) for type_ in recorded.types]
+        triangles = _triangles(recorded.positions)
         middle = recorded.positions.mean(axis=0) if len(recorded) else np.zeros(2)
         self._maps.append(
             _Map(
@@ -108,8 +124,8 @@ class MapIndex:
                 np.array(labels, dtype=np.int32),
                 ways,
                 walls,
-                _triangles(recorded.positions),
-                _length_sigma(recorded),
+                triangles,
+                _length_noise(recorded, triangles),
             )
         )
 
@@ -146,8 +162,10 @@ def _triangles(positions: Array) -> NDArray[np.int16]:
     return np.array(sorted(found), dtype=np.int16).reshape(-1, 3)
 
 
-def _length_sigma(recorded: LandmarkMap) -> float:
-    """Fixed part [m] of a length's standard deviation in a map, rounded to a power of two."""
+def _length_noise(recorded: LandmarkMap, triangles: NDArray[np.int16]) -> _LengthNoise:
+    """Of the sides of a map's triangles, in powers of two, so that few maps differ."""
+    if recorded.joint_covariance is not None and len(triangles):
+        return _rounded(*_stated_length_noise(recorded, recorded.joint_covariance, triangles))
     linked = any(link.distance is not None for landmark in recorded.landmarks for link in landmark.links)
     own = [float(np.sqrt(np.trace(l.covariance[:2, :2]))) for l in recorded.landmarks if l.covariance is not None]
     sigma = np.sqrt(2) * recorded.noise.position_sigma
@@ -155,7 +173,35 @@ def _length_sigma(recorded: LandmarkMap) -> float:
         sigma = min(sigma, float(np.median(own)))
     if linked:
         sigma = min(sigma, recorded.noise.distance_sigma_floor + np.sqrt(2) * 0.05)
-    return float(2.0 ** np.round(np.log2(min(max(sigma, 1e-3), 1e3))))
+    return _rounded(float(sigma), PER_METRE)
+
+
+def _rounded(fixed: float, share: float) -> _LengthNoise:
+    fixed, share = (float(2.0 ** np.round(np.log2(x))) for x in (min(max(fixed, 1e-3), 1e3), max(share, 1e-3)))
+    return _LengthNoise(fixed, min(max(share, LEAST_PER_METRE), PER_METRE))
+
+
+def _stated_length_noise(
+    recorded: LandmarkMap, joint: JointCovariance, triangles: NDArray[np.int16]
+) -> tuple[float, float]:
+    """Fixed part and share of the sides' standard deviations that a joint covariance gives."""
+    place = {id_: k for k, id_ in enumerate(joint.order)}
+    row = joint.rows * np.array([place[landmark.id] for landmark in recorded.landmarks])
+    i, j = np.unique(np.concatenate([triangles[:, k] for k in ([0, 1], [1, 2], [0, 2])]), axis=0).T
+    side = recorded.positions[i] - recorded.positions[j]
+    length = np.maximum(np.hypot(*side.T), 1e-9)
+
+    def block(a: Indices, b: Indices) -> Array:
+        at = np.arange(2)
+        return np.asarray(joint.matrix[(row[a, None] + at)[:, :, None], (row[b, None] + at)[:, None, :]])
+
+    of_side = block(i, i) + block(j, j) - block(i, j) - block(j, i)
+    variance = np.einsum("ka,kab,kb->k", side, of_side, side) / length**2
+    # robustly: the fixed part by the shorter half of the sides, what the longer ones have more by their length
+    short = length <= np.median(length)
+    fixed = max(float(np.median(variance[short])), 1e-6)
+    more = np.median((variance[~short] - fixed) / length[~short] ** 2) if (~short).any() else 0.0
+    return float(np.sqrt(fixed)), float(np.sqrt(max(more, 0.0)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -168,9 +214,9 @@ class _Corners:
     shape: Array
     labels: Indices
 
-    def coordinates(self, sigma: float) -> Array:
+    def coordinates(self, noise: _LengthNoise) -> Array:
         """Points (k, 4) whose distance is in standard deviations; other labels are far away."""
-        warped = np.sign(self.shape) * np.log1p(np.abs(self.shape) * PER_METRE / sigma) / PER_METRE
+        warped = np.sign(self.shape) * np.log1p(np.abs(self.shape) * noise.share / noise.fixed) / noise.share
         return np.column_stack([warped, self.labels * 1e4])
 
     def of(self, which: NDArray[np.bool_] | Indices) -> _Corners:
@@ -208,7 +254,7 @@ class _All:
         corner nearer to its start. Where ``slack``, also in every other order that noise may make of that one."""
         map_ = np.repeat(np.arange(len(maps)), [len(m.triangles) for m in maps])
         triangles = np.concatenate([m.triangles for m in maps]).astype(np.intp) + self.first[map_][:, None]
-        sigma = np.array([m.sigma for m in maps])[map_]
+        fixed, share = np.array([m.noise for m in maps])[map_].T
         parts = []
         for order in permutations(range(3)):
             corners = triangles[:, order]
@@ -217,7 +263,7 @@ class _All:
             along = (b - a) / np.maximum(length, 1e-9)[:, None]
             x = np.einsum("ki,ki->k", c - a, along)
             y = (c - a)[:, 1] * along[:, 0] - (c - a)[:, 0] * along[:, 1]
-            play = ALIKE * (sigma + PER_METRE * length) if slack else 0.0
+            play = ALIKE * (fixed + share * length) if slack else 0.0
             which = (np.maximum(second, third) <= length + play) & (x <= length / 2 + play)
             labels = (self.labels[corners] * (1 + self.labels.max()) ** np.arange(3)).sum(axis=1)
             parts.append(_Corners(map_, corners, np.column_stack([length, x, y]), labels).of(which))
@@ -241,26 +287,57 @@ def _scores(maps: list[_Map], ranked: Indices) -> Iterator[tuple[Indices, Indice
         return
     landmarks = _All.of(maps, ranked)
     stored, asked = landmarks.corners(maps, slack=False), landmarks.corners(maps, slack=True)
-    sigmas = np.array([m.sigma for m in maps])
-    trees: dict[tuple[float, float], tuple[cKDTree, Indices]] = {}
-    for low in range(0, len(maps), BLOCK):
-        block = (asked.map >= low) & (asked.map < low + BLOCK)
-        found = []
-        for mine in np.unique(sigmas[low : low + BLOCK]):
-            own = np.flatnonzero(block & (sigmas[asked.map] == mine))
-            for theirs in np.unique(sigmas):
-                sigma = np.hypot(mine, theirs)
-                if (mine, theirs) not in trees:
-                    others = np.flatnonzero(sigmas[stored.map] == theirs)
-                    trees[mine, theirs] = cKDTree(stored.of(others).coordinates(sigma)), others
-                tree, others = trees[mine, theirs]
-                hits = cKDTree(asked.of(own).coordinates(sigma)).sparse_distance_matrix(
-                    tree, ALIKE, output_type="ndarray"
-                )
-                found.append(np.column_stack([own[hits["i"]], others[hits["j"]]]))
-        hits = np.concatenate(found)
-        hits = hits[asked.map[hits[:, 0]] != stored.map[hits[:, 1]]]
+    lookup = _Lookup(asked, stored, [m.noise for m in maps], landmarks)
+    low, size = 0, 1
+    while low < len(maps):
+        hits = lookup.hits(low, low + size)
         yield _voted(asked.of(hits[:, 0]), stored.of(hits[:, 1]), hits[:, 0], landmarks, len(maps))
+        low, size = low + size, int(np.clip(size * MOST_HITS / max(len(hits), 1), 1, BLOCK))
+
+
+class _Lookup:
+    """Triangles of some maps that are like those of others, in bounded memory."""
+
+    def __init__(self, asked: _Corners, stored: _Corners, noise: Sequence[_LengthNoise], landmarks: _All) -> None:
+        self.asked, self.stored = asked, stored
+        self.noises = sorted(set(noise))
+        self.noise_of = np.array([self.noises.index(of_map) for of_map in noise])
+        armed = (landmarks.ways | landmarks.walls) != 0
+        self.bare = ~armed[asked.corners].any(axis=1)
+        self.trees: dict[tuple[int, int], tuple[cKDTree, Indices]] = {}
+
+    def hits(self, low: int, high: int) -> Indices:
+        """Pairs (k, 2) of triangles that are alike: of the maps from ``low`` up to ``high``, and of other maps."""
+        block = (self.asked.map >= low) & (self.asked.map < high)
+        found = [np.zeros((0, 2), dtype=np.intp)]
+        for mine in np.unique(self.noise_of[low:high]).tolist():
+            own, size = np.flatnonzero(block & (self.noise_of[self.asked.map] == mine)), 100
+            while len(own):
+                now, own = own[:size], own[size:]
+                hits = np.concatenate([self._alike(now, mine, theirs) for theirs in range(len(self.noises))])
+                size = int(np.clip(size * MOST_HITS / max(len(hits), 1), 1, 10 * size))
+                found.append(self._telling(hits))
+        return np.concatenate(found)
+
+    def _alike(self, own: Indices, mine: int, theirs: int) -> Indices:
+        noise = self.noises[mine].and_of(self.noises[theirs])
+        if (mine, theirs) not in self.trees:
+            others = np.flatnonzero(self.noise_of[self.stored.map] == theirs)
+            self.trees[mine, theirs] = cKDTree(self.stored.of(others).coordinates(noise)), others
+        tree, others = self.trees[mine, theirs]
+        here = cKDTree(self.asked.of(own).coordinates(noise))
+        hits = here.sparse_distance_matrix(tree, ALIKE, output_type="ndarray")
+        return np.column_stack([own[hits["i"]], others[hits["j"]]])
+
+    def _telling(self, hits: Indices) -> Indices:
+        """Those in another map; not of triangles without arms that are like many and tell little."""
+        n = len(self.noise_of)
+        theirs = self.stored.map[hits[:, 1]]
+        hits, theirs = (values[self.asked.map[hits[:, 0]] != theirs] for values in (hits, theirs))
+        triangles, number = np.unique(hits[:, 0], return_inverse=True)
+        common = np.bincount(np.unique(number * n + theirs) // n, minlength=len(triangles))
+        tells = ~self.bare[triangles] | (np.bincount(number) < MANY) | (np.log(n / np.maximum(common, 1)) >= COMMON)
+        return np.asarray(hits[tells[number]])
 
 
 def _voted(one: _Corners, other: _Corners, asked: Indices, landmarks: _All, n: int) -> tuple[Indices, Indices, Array]:
