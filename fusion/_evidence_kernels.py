@@ -71,6 +71,26 @@ def covered(start1, end1, start2, end2, width, cosine):
 
 
 @kernel
+def painted(centres, radius, low, step, shape):
+    """Which cells of a grid have their middle in one of the discs around ``centres`` (k, 2); bool of ``shape``.
+
+    ``low`` (2,): corner of the first cell; ``step``: side of a cell.
+    """
+    inside = np.zeros(shape, np.bool_)
+    for k in range(len(centres)):
+        cx, cy = centres[k, 0] - low[0], centres[k, 1] - low[1]
+        first_x, last_x = max(int((cx - radius) / step) - 1, 0), min(int((cx + radius) / step) + 1, shape[0] - 1)
+        first_y, last_y = max(int((cy - radius) / step) - 1, 0), min(int((cy + radius) / step) + 1, shape[1] - 1)
+        for i in range(first_x, last_x + 1):
+            dx = (i + 0.5) * step - cx
+            for j in range(first_y, last_y + 1):
+                dy = (j + 0.5) * step - cy
+                if dx * dx + dy * dy < radius * radius:
+                    inside[i, j] = True
+    return inside
+
+
+@kernel
 def blocked_ways(by, arm, passable, turn, start, end, angle):
     """How many blocked arms of each passed landmark (n,) point along the other robot's way, within ``angle`` [rad].
 

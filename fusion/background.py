@@ -77,7 +77,7 @@ class Background:
     @cached_property
     def area_rate(self) -> dict[str, float]:
         """True point landmarks per square metre, by label."""
-        area = self.area1.area() + self.area2.area()
+        area = self.area1.own_area + self.area2.own_area
         return self._rates(self.points1, self.points2, max(area, 1.0))
 
     @cached_property

@@ -108,6 +108,6 @@ def point_prior(background: Background) -> float:
     Uniform over the turns and over the shifts that let the two seen areas touch, in place of the wide normal prior
     under which the residuals were weighed.
     """
-    extent = sum(float(np.sqrt(max(area.area(), 1.0) / np.pi)) for area in (background.area1, background.area2))
+    extent = sum(float(np.sqrt(max(area.own_area, 1.0) / np.pi)) for area in (background.area1, background.area2))
     wide = float(np.log(2 * np.pi) * 1.5 + np.log(PRIOR_SIGMA).sum())
     return wide - float(np.log(np.pi * extent**2 * 2 * np.pi))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,15 +95,20 @@ class SeenArea:
         return SeenArea(se2.transform(T12, self.centres), self.radius)
 
     def area(self, other: SeenArea | None = None) -> float:
-        """Area [m^2], or that of the part it has in common with another one; on a grid of a fifth of the radius."""
+        """Area [m^2], or that of the part it has in common with another one; on a grid of an eighth of the radius."""
         if not len(self.centres):
             return 0.0
         radius = self.radius if other is None else min(self.radius, other.radius)
         low, high = self.centres.min(axis=0) - self.radius, self.centres.max(axis=0) + self.radius
         step = max(radius / 8, float((high - low).max()) / 400)
-        axes = [np.arange(low[k] + step / 2, high[k], step) for k in range(2)]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        inside = self.contains(grid)
+        shape = tuple(np.maximum(np.ceil((high - low) / step - 0.5), 1).astype(int).tolist())
+        painted = evidence_kernels().painted
+        inside = painted(self.centres, self.radius, low, step, shape)
         if other is not None:
-            inside &= other.contains(grid)
+            inside &= painted(other.centres, other.radius, low, step, shape)
         return float(inside.sum()) * step**2
+
+    @cached_property
+    def own_area(self) -> float:
+        """Area [m^2] of the whole, looked up."""
+        return self.area()
