@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from scipy.sparse.csgraph import maximum_flow
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.transform import Transform
+from mapfuse.matching.compiled import kernels
 
 from .config import FuseConfig, chi2_gate
 from .decide import probabilities
@@ -47,6 +49,8 @@ MAX_APPEALS = 20
 APPEALS_AT_ONCE, APPEALS_TIMES_MAPS = 8, 400
 #: Placements that differ by more [m, m, rad] are not looked at as the same, whatever their covariances.
 COARSE = np.array([20.0, 20.0, 0.8])
+#: Placements that differ by less [m], [rad] may be the same: a cycle's covariance is looked at when it is closed.
+NEAR = (3.0, 0.2)
 #: Placements of a leg that a cycle is looked for among.
 LEGS = 8
 #: Steps per nat in which a cut is counted.
@@ -72,7 +76,7 @@ class Choice:
 
     def agreement(self, comparisons: Mapping[Pair, Comparison]) -> float:
         """What all pairs that agree with the choice weigh [nats]."""
-        return float(sum(comparisons[pair].weights[k] for pair, k in self.chosen.items()))
+        return float(sum(own_weight(comparisons[pair], k) for pair, k in self.chosen.items()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +88,7 @@ class _Group:
     place: Mapping[Landmark, Landmark] = field(default_factory=dict)
     probability: float = 1.0
     edges: tuple[Edge, ...] = ()
+    start: Array | None = None
 
     @cached_property
     def made_of(self) -> tuple[tuple[str, ...], tuple[tuple[Pair, int], ...]]:
@@ -92,7 +97,11 @@ class _Group:
 
     @cached_property
     def graph(self) -> PoseGraph:
-        return PoseGraph(self.names, self.edges)
+        return PoseGraph(self.names, self.edges, self.start)
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        return {name: k for k, name in enumerate(self.names)}
 
     def place_of(self, landmark: Landmark) -> Landmark:
         """The landmark that stands for all that are the same."""
@@ -115,6 +124,25 @@ class _Meeting:
     placements: tuple[_Placement, ...]
     probability: float
     margin: float
+
+    @cached_property
+    def legs(self) -> tuple[Array, Array, Array]:
+        """The best few placements (k, 3), their inverses, and their weights (k,)."""
+        T = np.array([placement.T_AB for placement in self.placements[:LEGS]])
+        return T, np.asarray(se2.inverse(T)), np.array([placement.weight for placement in self.placements[:LEGS]])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Candidates:
+    """The candidates of one pair that may be chosen, heaviest first, as frame ``b`` in frame ``a``: places ``k`` in
+    the comparison, ``T`` (k, 3), ``covariance`` (k, 3, 3), ``weight`` (k,)."""
+
+    a: str
+    b: str
+    k: NDArray[np.intp]
+    T: Array
+    covariance: Array
+    weight: Array
 
 
 _Groups = Mapping[int, _Group]
@@ -150,6 +178,20 @@ def choose(
     return best
 
 
+def own_weight(comparison: Comparison, k: int) -> float:
+    """What candidate ``k`` of a pair shows by itself [nats].
+
+    A rival of the pair's best candidate weighs more than it shows, for it may be right where the best one is its image.
+    That much explains one pair, and is no evidence that several pairs could add up.
+    """
+    return float(min(comparison.weights[k], comparison.candidates[k].log_odds))
+
+
+def group_kernels() -> ModuleType:
+    """The compiled loop of laying groups on each other."""
+    return kernels("_group_kernels", __package__, "the choice between many maps' answers")
+
+
 def _key(a: str, b: str) -> Pair:
     return (a, b) if a < b else (b, a)
 
@@ -167,6 +209,7 @@ class _Chooser:
         self.comparisons = comparisons
         self.forbidden = forbidden
         self.edges: dict[tuple[str, str, int], Edge] = {}
+        self.candidates: dict[tuple[str, str, bool], _Candidates] = {}
         self.met: dict[tuple[object, object], _Meeting] = {}
         self.beside: dict[str, list[str]] = {}
         for a, b in comparisons:
@@ -174,6 +217,9 @@ class _Chooser:
             self.beside.setdefault(b, []).append(a)
         self.config = config
         self.against = against
+        none = float(np.log1p(-config.decision.overlap_prior) - np.log(config.decision.overlap_prior))
+        #: Placements that weigh no more than this are neither sure nor legs of a cycle.
+        self.nothing = min(0.0, none) if config.decision.accept >= 0.5 else -np.inf
         self.gate = float(chi2_gate(config.solving.gate_probability, 3))
 
     def run(self, names: Sequence[str], first: Sequence[Pair]) -> Choice:
@@ -182,7 +228,7 @@ class _Chooser:
         for pair in first:
             p, q = sorted(next(k for k, group in groups.items() if name in group.names) for name in pair)
             if p != q:
-                placement = self._placements(groups[p], groups[q], {pair: [0]})[0]
+                placement = self._placement(groups[p], groups[q], pair)
                 probability = float(self.comparisons[pair].probabilities[0])
                 groups[p] = self._merged(groups[p], groups.pop(q), placement, probability)
         at = {name: k for k, group in groups.items() for name in group.names}
@@ -215,7 +261,7 @@ class _Chooser:
         """
         sure = [pair for pair, comparison in self.comparisons.items() if comparison.decision == "merged"]
         asking = [pair for pair in sure if choice.chosen.get(pair) != 0 and (pair, 0) not in self.forbidden]
-        weight = {pair: self._weight(pair, k) for pair, k in choice.chosen.items()}
+        weight = {pair: own_weight(self.comparisons[pair], k) for pair, k in choice.chosen.items()}
         moves = {pair: self._move(pair, choice) for pair in asking}
         together = {pair for pair in asking if any(set(pair) <= set(names) for names in choice.groups)}
         heard = []
@@ -256,19 +302,16 @@ class _Chooser:
         it speak against it by as much.
         """
         p, q = key
-        T_pq = meetings[key].placements[0].T_AB
+        T_pq, weaker_leg = meetings[key].placements[0].T_AB, group_kernels().weaker_leg
         total = 0.0
         for r in sorted(beside[p] & beside[q]):
             one, two = (meetings[min(n, r), max(n, r)] for n in key)
             if not one.placements or not two.placements:
                 continue
-            T_pr, T_qr = _directed(one, p < r), _directed(two, q < r)
-            near = _near(T_pq, se2.compose(T_pr[:, None], se2.inverse(T_qr)[None]))
-            if near.any():
-                weaker = np.minimum.outer(
-                    [a.weight for a in one.placements[:LEGS]], [b.weight for b in two.placements[:LEGS]]
-                )
-                total += max(0.0, float(weaker[near].max()))
+            T_pr, T_rq = one.legs[0 if p < r else 1], two.legs[0 if r < q else 1]
+            weaker = weaker_leg(T_pq, T_pr, T_rq, one.legs[2], two.legs[2], *NEAR)
+            if weaker > -np.inf:
+                total += max(0.0, weaker)
             elif min(one.probability, two.probability) >= self.config.decision.accept:
                 total -= min(one.margin, two.margin)
         return total
@@ -281,11 +324,7 @@ class _Chooser:
         return self.met[key]
 
     def _meet(self, A: _Group, B: _Group) -> _Meeting:
-        pairs = self._across(A, B)
-        faint = FAINT if len(pairs) > 1 else np.inf
-        placements = self._placements(A, B, {pair: self._allowed(pair, faint) for pair in pairs})
-        if self.against is not None and len(pairs) > 1:
-            placements = self._contradicted(A, B, placements, pairs)
+        placements = self._placements(A, B, self._across(A, B))
         if not placements:
             return _Meeting((), 0.0, -np.inf)
         weight = np.array([p.weight for p in placements])
@@ -301,42 +340,79 @@ class _Chooser:
         inside = set(many)
         return sorted(_key(a, b) for a in few for b in self.beside.get(a, ()) if b in inside)
 
-    def _allowed(self, pair: Pair, faint: float) -> list[int]:
-        weights = self.comparisons[pair].weights
-        best = np.max(weights, initial=0.0)
-        return [k for k, w in enumerate(weights) if w > best - faint and (pair, k) not in self.forbidden]
+    def _candidates(self, a: str, b: str, all_of_them: bool) -> _Candidates:
+        """Those of a pair that may be chosen; without the faint ones unless ``all_of_them``."""
+        key = (a, b, all_of_them)
+        if key not in self.candidates:
+            pair = _key(a, b)
+            weights = np.asarray(self.comparisons[pair].weights)
+            heavy = weights > (-np.inf if all_of_them else np.max(weights, initial=0.0) - FAINT)
+            free = [k for k in np.flatnonzero(heavy).tolist() if (pair, k) not in self.forbidden]
+            k = np.array(sorted(free, key=lambda k: (-weights[k], k)), dtype=np.intp)
+            found = [self.comparisons[pair].candidates[place].T12 for place in k.tolist()]
+            T = np.array([T12.array for T12 in found]).reshape(-1, 3)
+            covariance = np.array([T12.covariance for T12 in found], dtype=float).reshape(-1, 3, 3)
+            if (a, b) != pair:
+                T, covariance = np.asarray(se2.inverse(T)), se2.inverse_covariance(T, covariance)
+            self.candidates[key] = _Candidates(a, b, k, T, covariance + np.diag(SLACK**2), weights[k])
+        return self.candidates[key]
 
-    def _placements(self, A: _Group, B: _Group, allowed: Mapping[Pair, Sequence[int]]) -> list[_Placement]:
-        """One placement by each candidate, with the candidates of all other pairs that agree; the best first."""
-        seeds = [(pair, k) for pair, candidates in allowed.items() for k in candidates]
-        if not seeds:
+    def _placement(self, A: _Group, B: _Group, pair: Pair) -> _Placement:
+        """How a pair's own best candidate lays B on A."""
+        a, b = pair if pair[0] in A.index else pair[::-1]
+        T_AB = se2.compose(se2.compose(A.graph.pose(a), self._edge(a, b, 0).T), se2.inverse(B.graph.pose(b)))
+        return _Placement({pair: 0}, self._weight(pair, 0), np.asarray(T_AB))
+
+    def _placements(self, A: _Group, B: _Group, pairs: Sequence[Pair]) -> list[_Placement]:
+        """One placement by each candidate, with the candidates of all other pairs that agree and what pairs without
+        one there say against it; the best first, and none that weigh `HOPELESS` less than it."""
+        ways = [pair if pair[0] in A.index else pair[::-1] for pair in pairs]
+        of_pairs = [self._candidates(a, b, len(pairs) == 1) for a, b in ways]
+        if not sum(len(c.k) for c in of_pairs):
             return []
-        ways = [pair if pair[0] in A.names else pair[::-1] for pair, _ in seeds]
-        edges = [self._edge(a, b, k) for (a, b), (_, k) in zip(ways, seeds, strict=True)]
-        X_a = np.array([A.graph.pose(a) for a, _ in ways])
-        X_b = np.array([B.graph.pose(b) for _, b in ways])
-        T_ab = np.array([edge.T for edge in edges])
-        T_AB = se2.compose(se2.compose(X_a, T_ab), se2.inverse(X_b))
-        weights = np.array([self._weight(*seed) for seed in seeds])
+        first = np.cumsum([0, *(len(c.k) for c in of_pairs)])
+        of = np.repeat(np.arange(len(pairs)), np.diff(first))
+        k, T, covariance, weight = (
+            np.concatenate([getattr(c, name) for c in of_pairs]) for name in ("k", "T", "covariance", "weight")
+        )
+        if weight.max(initial=-np.inf) <= self.nothing:
+            return []
+        a = np.array([A.index[way[0]] for way in ways])[of]
+        b = np.array([B.index[way[1]] for way in ways])[of]
         # what a placement is worth is at most a little more than its best candidate, where that one weighs little
-        proposing = np.flatnonzero(weights > weights.max() - HOPELESS) if len(allowed) > 1 else np.arange(len(seeds))
-        implied = se2.compose(se2.compose(se2.inverse(X_a)[None], T_AB[proposing, None]), X_b[None])
-        off = np.abs(implied - T_ab[None])
-        off[..., 2] = np.abs(se2.wrap(implied[..., 2] - T_ab[None, :, 2]))
-        coarsely = (off < COARSE).all(axis=2)
+        rows = np.flatnonzero(weight > weight.max() - HOPELESS)
+        agrees = np.zeros((len(rows), len(of)), dtype=bool)
+        if len(pairs) > 1:
+            graphs = (*A.graph.solved, *B.graph.solved)
+            agrees = group_kernels().agreeing(rows, *graphs, a, b, T, covariance, of, COARSE, self.gate)
+        agrees[np.arange(len(rows)), rows] = True
+        full = np.flatnonzero(np.diff(first))
+        # of each pair the heaviest that agrees: more than all of them together a placement can't be worth
+        worth = np.maximum.reduceat(np.where(agrees, weight, -np.inf), first[full], axis=1)
+        most = worth.max(axis=1) + np.maximum(np.sort(worth, axis=1)[:, :-1], 0.0).sum(axis=1)
+        T_AB = se2.compose(se2.compose(A.graph.solved[0][a[rows]], T[rows]), se2.inverse(B.graph.solved[0][b[rows]]))
         found: dict[tuple[tuple[Pair, int], ...], _Placement] = {}
-        for row, n in enumerate(proposing.tolist()):
-            seed = seeds[n]
-            agreeing = {seed[0]: seed[1]}
-            close = [m for m in np.flatnonzero(coarsely[row]).tolist() if seeds[m][0] != seed[0]]
-            off = self._off(A, B, edges[n], [edges[m] for m in close])
-            for m, agrees in zip(close, (off < self.gate).tolist(), strict=True):
-                pair, k = seeds[m]
-                if agrees and (pair not in agreeing or self._weight(pair, k) > self._weight(pair, agreeing[pair])):
-                    agreeing[pair] = k
-            placement = _Placement(agreeing, self._weighed(A, B, agreeing), T_AB[n])
-            found.setdefault(tuple(sorted(agreeing.items())), placement)
-        return sorted(found.values(), key=lambda p: (-p.weight, sorted(p.agreeing.items())))
+        best = -np.inf
+        for row in np.lexsort((rows, -most)).tolist():
+            if most[row] <= best - HOPELESS:
+                break
+            with_it = np.flatnonzero(agrees[row]).tolist()
+            heaviest = {pairs[of[m]]: int(k[m]) for m in reversed(with_it)}  # of one pair the first is the heaviest
+            chosen = tuple(sorted(heaviest.items()))
+            if chosen not in found:
+                found[chosen] = self._weighed_placement(A, B, dict(chosen), T_AB[row], pairs, best)
+                best = max(best, found[chosen].weight)
+        kept = [placement for placement in found.values() if placement.weight > best - HOPELESS]
+        return sorted(kept, key=lambda p: (-p.weight, sorted(p.agreeing.items())))
+
+    def _weighed_placement(
+        self, A: _Group, B: _Group, agreeing: Mapping[Pair, int], T_AB: Array, pairs: Sequence[Pair], best: float
+    ) -> _Placement:
+        """A placement, what speaks against it weighed only where it is not far below the ``best`` one anyway."""
+        weight = self._weighed(A, B, agreeing)
+        if self.against is not None and len(pairs) > 1 and weight > best - HOPELESS:
+            weight += self._against(A, B, T_AB, [pair for pair in pairs if pair not in agreeing])
+        return _Placement(agreeing, weight, T_AB)
 
     def _weight(self, pair: Pair, k: int) -> float:
         return float(self.comparisons[pair].weights[k])
@@ -350,79 +426,56 @@ class _Chooser:
             self.edges[a, b, k] = Edge(a, b, T.array, T.covariance + np.diag(SLACK**2))
         return self.edges[a, b, k]
 
-    def _off(self, A: _Group, B: _Group, via: Edge, others: Sequence[Edge]) -> Array:
-        """Squared Mahalanobis distances (k,) of k edges across two groups from what another one implies."""
-        if not others:
-            return np.zeros(0)
-        k = len(others)
-        T_ca, C_ca = A.graph.betweens([other.a for other in others], [via.a] * k)
-        T_bd, C_bd = B.graph.betweens([via.b] * k, [other.b for other in others])
-        T_cb, C_cb = se2.compose(T_ca, via.T), se2.compose_covariance(T_ca, C_ca, via.T, via.covariance)
-        T, covariance = se2.compose(T_cb, T_bd), se2.compose_covariance(T_cb, C_cb, T_bd, C_bd)
-        off = np.array([other.T for other in others]) - T
-        off[:, 2] = se2.wrap(off[:, 2])
-        whole = covariance + np.array([other.covariance for other in others])
-        return np.asarray(np.einsum("ki,ki->k", off, np.linalg.solve(whole, off[..., None])[..., 0]))
-
     def _weighed(self, A: _Group, B: _Group, agreeing: Mapping[Pair, int]) -> float:
         """What candidates that agree weigh together [nats], every landmark counted once.
 
         Two maps of one group share landmarks, and what a third map has in common with one it has with the other: the
-        second adds to the evidence only by the share of its matches between landmarks not yet counted.
+        second adds what it shows by itself, and only by the share of its matches between landmarks not yet counted.
         """
-        weight = {pair: float(self.comparisons[pair].weights[k]) for pair, k in agreeing.items()}
+        weight = {pair: self._weight(pair, k) for pair, k in agreeing.items()}
         used: set[Landmark] = set()
-        total = 0.0
+        total = max(weight.values())
         for n, pair in enumerate(sorted(agreeing, key=lambda pair: (-weight[pair], pair))):
+            own = own_weight(self.comparisons[pair], agreeing[pair])
+            if n and own <= 0.0:
+                continue
             matches = self.comparisons[pair].candidates[agreeing[pair]].matches
             matched = [self._places(A, B, pair, match) for match in matches]
-            new = [places for places in matched if not used & set(places)]
-            total += weight[pair] if n == 0 else max(weight[pair], 0.0) * len(new) / max(len(matched), 1)
+            if n:
+                total += own * sum(not used & set(places) for places in matched) / max(len(matched), 1)
             used.update(place for places in matched for place in places)
         return total
 
     def _places(self, A: _Group, B: _Group, pair: Pair, match: tuple[int, int]) -> tuple[Landmark, Landmark]:
         first, second = (pair[0], match[0]), (pair[1], match[1])
         return (
-            (A if pair[0] in A.names else B).place_of(first),
-            (A if pair[1] in A.names else B).place_of(second),
+            (A if pair[0] in A.index else B).place_of(first),
+            (A if pair[1] in A.index else B).place_of(second),
         )
 
-    def _contradicted(
-        self, A: _Group, B: _Group, placements: Sequence[_Placement], pairs: Sequence[Pair]
-    ) -> list[_Placement]:
-        """The placements with what pairs without a candidate there say against them."""
+    def _against(self, A: _Group, B: _Group, T_AB: Array, pairs: Sequence[Pair]) -> float:
+        """What pairs that have no candidate for a placement say against it [nats]."""
         assert self.against is not None
-        best = max((p.weight for p in placements), default=0.0)
-        found = []
-        for placement in placements:
-            against = 0.0
-            if placement.weight > best - HOPELESS:
-                for a, b in pairs:
-                    if (a, b) not in placement.agreeing:
-                        against += self.against(a, b, self._at(A, B, placement, a, b))
-            found.append(replace(placement, weight=placement.weight + against))
-        return sorted(found, key=lambda p: (-p.weight, sorted(p.agreeing.items())))
-
-    def _at(self, A: _Group, B: _Group, placement: _Placement, a: str, b: str) -> Array:
-        """T_ab under a placement, whichever group the maps are in."""
-
-        def world(name: str) -> Array:
-            if name in A.names:
-                return A.graph.pose(name)
-            return np.asarray(se2.compose(placement.T_AB, B.graph.pose(name)))
-
-        return np.asarray(se2.between(world(a), world(b)))
+        total = 0.0
+        for pair in pairs:
+            a, b = pair if pair[0] in A.index else pair[::-1]
+            T_ab = se2.compose(se2.between(A.graph.pose(a), T_AB), B.graph.pose(b))
+            total += self.against(*pair, np.asarray(T_ab if (a, b) == pair else se2.inverse(T_ab)))
+        return total
 
     def _merged(self, A: _Group, B: _Group, placement: _Placement, probability: float) -> _Group:
         edges = tuple(self._edge(*pair, k) for pair, k in placement.agreeing.items())
         chosen = {**A.chosen, **B.chosen, **placement.agreeing}
+        names = tuple(sorted((*A.names, *B.names)))
+        pose = dict(zip(A.names, A.graph.solved[0], strict=True))
+        pose |= dict(zip(B.names, np.asarray(se2.compose(placement.T_AB, B.graph.solved[0])), strict=True))
         return _Group(
-            names=tuple(sorted((*A.names, *B.names))),
+            names=names,
             chosen=chosen,
             place=places_of(chosen, self.comparisons),
             probability=A.probability * B.probability * probability,
             edges=(*A.edges, *B.edges, *edges),
+            start=np.asarray(se2.between(pose[names[0]], np.array([pose[name] for name in names]))),
         )
 
     def _choice(self, groups: Sequence[_Group]) -> Choice:
@@ -445,16 +498,10 @@ class _Chooser:
         )
 
 
-def _directed(meeting: _Meeting, forward: bool) -> Array:
-    """The best placements (k, 3) of a meeting, or, where not ``forward``, their inverses."""
-    T = np.array([placement.T_AB for placement in meeting.placements[:LEGS]])
-    return T if forward else np.asarray(se2.inverse(T))
-
-
 def _near(T: Array, others: Array) -> NDArray[np.bool_]:
-    """Which placements may be the same as one, coarsely: a cycle's covariance is looked at when it is closed."""
+    """Which placements may be the same as one, coarsely."""
     shift = np.hypot(others[..., 0] - T[0], others[..., 1] - T[1])
-    return np.asarray((shift < 3.0) & (np.abs(se2.wrap(others[..., 2] - T[2])) < 0.2))
+    return np.asarray((shift < NEAR[0]) & (np.abs(se2.wrap(others[..., 2] - T[2])) < NEAR[1]))
 
 
 def _strength(start: str, end: str, chosen: Mapping[Pair, float]) -> float:

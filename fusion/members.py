@@ -16,6 +16,7 @@ from mapfuse.datasets import se2
 from .background import Background
 from .config import EvidenceConfig
 from .consistent import Choice, Pair
+from .coverage import SeenArea
 from .existence import existence
 from .joint import Joint
 from .joint import Members as Place
@@ -36,6 +37,7 @@ class Emptiness:
     prepared: Mapping[str, PreparedMap]
     config: EvidenceConfig
     _backgrounds: dict[Pair, Background] = field(default_factory=dict, repr=False)
+    _reaches: dict[str, tuple[Array, float]] = field(default_factory=dict, repr=False)
 
     def passing(self, a: str, b: str, T_ab: Array) -> Passing:
         """Who passed what, map b lying at ``T_ab`` (3,) on map a; landmarks that may be the same count as matched."""
@@ -46,7 +48,21 @@ class Emptiness:
 
     def against(self, a: str, b: str, T_ab: Array) -> float:
         """Log odds [nats], at most 0, of laying b on a at ``T_ab`` where no candidate of theirs agrees with it."""
+        (middle_a, reach_a), (middle_b, reach_b) = self._reach(a), self._reach(b)
+        if float(np.hypot(*(se2.transform(T_ab, middle_b) - middle_a))) > reach_a + reach_b:
+            return 0.0  # neither robot was near what the other recorded
         return min(0.0, sum(emptiness(self.passing(a, b, T_ab), self._background(a, b), self.config)))
+
+    def _reach(self, name: str) -> tuple[Array, float]:
+        """Middle of a map (2,), and how far from it [m] its robot may have seen anything."""
+        if name not in self._reaches:
+            m = self.prepared[name]
+            middle = m.positions.mean(axis=0) if len(m.positions) else np.zeros(2)
+            seen = SeenArea.of(m, np.arange(len(m.positions)))
+            at = np.concatenate([m.positions, seen.centres])
+            farthest = float(np.hypot(*(at - middle).T).max(initial=0.0))
+            self._reaches[name] = middle, farthest + max(seen.radius, self.config.corridor_width_m)
+        return self._reaches[name]
 
     def _background(self, a: str, b: str) -> Background:
         if (a, b) not in self._backgrounds:

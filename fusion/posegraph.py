@@ -35,7 +35,7 @@ class PoseGraph:
 
     Dense: it holds the frames of one group of maps, not their landmarks. The edges count as independent,
     which they are not quite (two edges of one map share its drift): it gates cycles and gives starting values, and
-    what is reported comes from the graph of landmarks.
+    what is reported comes from the graph of landmarks. ``start`` (n, 3): where to begin, where that is known.
 
     >>> step = Edge("a", "b", np.array([1.0, 0.0, 0.0]), np.eye(3))
     >>> graph = PoseGraph(("a", "b", "c"), (step, Edge("b", "c", np.array([1.0, 0.0, 0.0]), np.eye(3))))
@@ -45,16 +45,17 @@ class PoseGraph:
 
     names: tuple[str, ...]
     edges: Sequence[Edge] = ()
+    start: Array | None = None
 
     @cached_property
     def _index(self) -> dict[str, int]:
         return {name: k for k, name in enumerate(self.names)}
 
     @cached_property
-    def _solved(self) -> tuple[Array, Array]:
+    def solved(self) -> tuple[Array, Array]:
         """Poses (n, 3) and their joint covariance in blocks (n, n, 3, 3), the first frame's being zero."""
         n = len(self.names)
-        poses, covariance = self._start(), np.zeros((n, n, 3, 3))
+        poses, covariance = self._start() if self.start is None else self.start.copy(), np.zeros((n, n, 3, 3))
         if n < 2:
             return poses, covariance
         a, b = (np.array([self._index[getattr(edge, end)] for edge in self.edges], dtype=np.intp) for end in "ab")
@@ -104,12 +105,12 @@ class PoseGraph:
 
     def pose(self, name: str) -> Array:
         """Pose (3,) of a frame in the first one."""
-        return np.asarray(self._solved[0][self._index[name]])
+        return np.asarray(self.solved[0][self._index[name]])
 
     def transform(self, name: str) -> Transform:
         """Pose of a frame in the first one with its covariance."""
         k = self._index[name]
-        return Transform.from_array(self.pose(name), self._solved[1][k, k])
+        return Transform.from_array(self.pose(name), self.solved[1][k, k])
 
     def between(self, a: str, b: str) -> tuple[Array, Array]:
         """Pose (3,) of frame ``b`` in frame ``a``, and its covariance (3, 3)."""
@@ -118,7 +119,7 @@ class PoseGraph:
 
     def betweens(self, a: Sequence[str], b: Sequence[str]) -> tuple[Array, Array]:
         """Poses (k, 3) of k frames ``b`` in as many frames ``a``, and their covariances (k, 3, 3)."""
-        poses, blocks = self._solved
+        poses, blocks = self.solved
         i, j = (np.array([self._index[name] for name in names], dtype=np.intp) for names in (a, b))
         back = se2.inverse(poses[i])
         by_back, by_b = se2.compose_jacobians(back, poses[j])

@@ -10,10 +10,11 @@ import pytest
 from mapfuse.datasets import se2
 from mapfuse.datasets.transform import Transform
 from mapfuse.fusion.config import FuseConfig
-from mapfuse.fusion.consistent import choose, places_of
+from mapfuse.fusion.consistent import choose, group_kernels, places_of
 from mapfuse.fusion.decide import log_weights, probabilities
 from mapfuse.fusion.evidence import Terms
 from mapfuse.fusion.pairwise import Candidate, Comparison
+from mapfuse.fusion.posegraph import Edge, PoseGraph
 
 CONFIG = FuseConfig()
 SIGMA = np.array([0.1, 0.1, 0.01])
@@ -204,3 +205,77 @@ def test_identity_is_transitive_and_one_to_one():
     assert root["A", 0] == root["B", 0] == root["C", 5]
     assert root["A", 1] == root["B", 1] == root["C", 6]
     assert root["A", 0] != root["A", 1]
+
+
+def test_rivals_that_may_be_right_only_where_the_best_are_images_do_not_add_up(world, monkeypatch):
+    """A and B are at one place, C and D at one: chance placements of C on A agree with those of D and B."""
+    monkeypatch.setattr("mapfuse.fusion.consistent.MAX_APPEALS", 0)
+    world["B"], world["D"] = (se2.compose(world[a], [0.5, 0.2, 0.1]) for a in "AC")
+    T = {p: true_T(world, *p) for p in combinations("ABCD", 2)}
+    right, pairs = [(n, n) for n in range(20)], {}
+    for n, pair in enumerate(T):
+        chance = [(20 + 4 * n + k, 20 + 4 * n + k) for k in range(4)]
+        a, b = (world[name] for name in pair)
+        moved = se2.compose(se2.between(a, world["A"]), se2.compose(ELSEWHERE, se2.between(world["A"], b)))
+        together = set(pair) in ({"A", "B"}, {"C", "D"})
+        rivals = [] if together else [candidate(moved, -8.0, chance)]
+        pairs[pair] = comparison(*pair, candidate(T[pair], 300.0 if together else 120.0, right), *rivals)
+    rival = pairs["A", "C"]
+    assert rival.weights[1] > 90, "it weighs much, for it may be right if the building repeats itself"
+    choice = choose("ABCD", pairs, CONFIG)
+    assert choice.groups == (("A", "B", "C", "D"),)
+    assert set(choice.chosen.values()) == {0}
+    for name in "BCD":
+        np.testing.assert_allclose(frame(choice, name), T["A", name], atol=1e-6)
+
+
+def test_the_compiled_loop_agrees_with_the_algebra_of_se2():
+    rng = np.random.default_rng(8)
+
+    def some(n):
+        return np.column_stack([rng.uniform(-20, 20, (n, 2)), rng.uniform(-np.pi, np.pi, n)])
+
+    def covariances(n):
+        half = rng.normal(0, 0.05, (n, 3, 3))
+        return half @ half.swapaxes(1, 2) + 1e-4 * np.eye(3)
+
+    def graph(names):
+        X = some(len(names))
+        ring = [(k, (k + 1) % len(names)) for k in range(len(names))]
+        edges = [
+            Edge(names[i], names[j], np.asarray(se2.between(X[i], X[j])), C)
+            for (i, j), C in zip(ring, covariances(len(ring)), strict=True)
+        ]
+        return PoseGraph(tuple(names), edges)
+
+    A, B = graph("abcd"), graph("wxyz")
+    k = 40
+    a, b = rng.integers(4, size=(2, k))
+    T_AB, C = some(1)[0], covariances(k)
+    T = se2.compose(se2.compose(se2.inverse(A.solved[0][a]), T_AB), B.solved[0][b])
+    T = T + rng.normal(0, 1, (k, 3)) * [0.4, 0.4, 0.03]
+    gate, coarse = 16.3, np.array([20.0, 20.0, 0.8])
+    found = group_kernels().agreeing(np.arange(k), *A.solved, *B.solved, a, b, T, C, np.arange(k), coarse, gate)
+    expected = np.zeros((k, k), dtype=bool)
+    for n in range(k):
+        for m in range(k):
+            T_ca, C_ca = A.between("abcd"[a[m]], "abcd"[a[n]])
+            T_bd, C_bd = B.between("wxyz"[b[n]], "wxyz"[b[m]])
+            T_cb, C_cb = se2.compose(T_ca, T[n]), se2.compose_covariance(T_ca, C_ca, T[n], C[n])
+            off = T[m] - se2.compose(T_cb, T_bd)
+            off[2] = se2.wrap(off[2])
+            whole = se2.compose_covariance(T_cb, C_cb, T_bd, C_bd) + C[m]
+            expected[n, m] = n != m and off @ np.linalg.solve(whole, off) < gate
+    assert 0.2 < expected.mean() < 0.8
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_cycles_are_worth_their_weaker_leg_where_they_close():
+    rng = np.random.default_rng(9)
+    T_pq = np.array([3.0, -2.0, 0.4])
+    T_pr = np.column_stack([rng.uniform(-20, 20, (3, 2)), rng.uniform(-3, 3, 3)])
+    closing = se2.compose(se2.inverse(T_pr[1]), T_pq + np.array([0.1, 0.1, 0.01]))
+    T_rq = np.array([se2.compose(closing, [50.0, 0.0, 0.0]), closing])
+    weaker = group_kernels().weaker_leg
+    assert weaker(T_pq, T_pr, T_rq, np.array([9.0, 5.0, 9.0]), np.array([9.0, 7.0]), 3.0, 0.2) == 5.0
+    assert weaker(T_pq, T_pr, T_rq[:1], np.array([9.0, 5.0, 9.0]), np.array([9.0]), 3.0, 0.2) == -np.inf
