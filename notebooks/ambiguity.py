@@ -149,7 +149,7 @@ ax.plot([], [], "s", color=blue, label="map 1")
 everything = np.vstack([placement.poses[:, :2] for placement in mixture.placements[:2]])
 (left, low), (right_end, top) = everything.min(axis=0) - 4, everything.max(axis=0) + 4
 ax.set(xlim=(left, right_end), ylim=(low, top))
-ax.set_aspect("equal", adjustable="datalim")
+ax.set_aspect("equal", adjustable="box")
 ax.set_xlabel("x [m]")
 ax.set_ylabel("y [m]")
 ax.legend(fontsize=7.5, loc="best")
