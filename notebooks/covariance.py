@@ -401,6 +401,7 @@ Markdown(
     f"{'; '.join(outside)}. A covariance is as good as the noise that the maps state: stated half, the errors are "
     f"{found['half'].scale:.1f} times what the covariance says. The maps' own residuals know it, since loops then "
     f"close worse than they should: with the noise estimated it is {found['half, estimated'].scale:.1f} times. "
-    "Statistics are of the merged pairs, and a few pairs are a picture, not a measurement: the figures over "
-    "thousands are in [benchmarks/results](../benchmarks/results/calibration.md)."
+    "Statistics are of the merged pairs, and one mean in twenty is outside its band by chance. A few pairs are a "
+    "picture, not a measurement: [a hundred recordings of each of six drives](../benchmarks/results/rerecorded.md), "
+    "[thousands of pairs](../benchmarks/results/calibration.md)."
 )
