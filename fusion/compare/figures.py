@@ -109,23 +109,31 @@ def _origin(maps: Sequence[LandmarkMap]) -> str:
 
 
 def scene_of_merge(maps: Sequence[LandmarkMap], merge: Merge) -> Scene:
-    """A merged map as a scene; a landmark of both maps stands in it twice, at one place. Raises nothing."""
+    """A merged map as a scene in the frame of map 1: what both have once, what isn't kept hollow."""
     one, two = (scene_of_map(m, k) for k, m in enumerate(maps))
     assert merge.T12 is not None
     laid = laid_together(one, two.moved(merge.T12.array))
     positions, owners, doubtful = laid.positions.copy(), laid.owners.copy(), np.zeros(len(laid), dtype=bool)
+    stands_for = np.arange(len(laid))
     for landmark in merge.landmarks:
         places = [maps[0].index_from_id[i] for i in landmark.ids1]
         places += [len(one) + maps[1].index_from_id[i] for i in landmark.ids2]
         positions[places] = landmark.x, landmark.y
         doubtful[places] = not landmark.kept
+        stands_for[places] = places[0]
         if landmark.ids1 and landmark.ids2:
             owners[places] = COMMON_OWNER
+    kept = np.flatnonzero(stands_for == np.arange(len(laid)))
+    place = np.searchsorted(kept, stands_for)
     return replace(
         laid,
-        positions=positions,
-        owners=owners,
-        doubtful=doubtful,
+        positions=positions[kept],
+        kinds=tuple(laid.kinds[k] for k in kept),
+        owners=owners[kept],
+        doubtful=doubtful[kept],
+        ids=tuple(laid.ids[k] for k in kept),
+        arms=tuple(arm._replace(landmark=int(place[arm.landmark])) for arm in laid.arms),
+        links=place[laid.links].astype(np.intp),
         covariances=np.zeros((0, 2, 2)),
         covariance_of=np.zeros(0, dtype=np.intp),
     )
@@ -171,11 +179,11 @@ def figure_8(building: Building, laid: Mapping[str, OnPlan]) -> Figure:
     ):
         along.axhline(height, color=GREY, linewidth=0.8, linestyle="--")
         along.text(
-            0.995,
+            0.5,
             height,
             said,
             transform=along.get_yaxis_transform(),
-            ha="right",
+            ha="center",
             va="bottom",
             fontsize=7.5,
             color=GREY,
