@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv, chdtri
 
+from mapfuse.datasets.errors import MapfuseError
+
 Array = NDArray[np.float64]
 
 
@@ -90,6 +92,8 @@ class Consistency:
 def consistency(errors: ArrayLike, covariances: ArrayLike) -> Consistency:
     """Of independent errors (n, d) with their covariances (n, d, d) or (d, d).
 
+    Raises `MapfuseError` where there are none.
+
     >>> rng = np.random.default_rng(1)
     >>> stated = np.diag([1.0, 4.0, 0.01])
     >>> drawn = rng.normal(size=(400, 3)) * np.sqrt(np.diag(stated))
@@ -98,4 +102,6 @@ def consistency(errors: ArrayLike, covariances: ArrayLike) -> Consistency:
     (True, 2.0)
     """
     e = np.asarray(errors, dtype=float)
+    if e.ndim != 2 or not len(e):
+        raise MapfuseError("there are no errors to judge covariances by")
     return Consistency(squared_distances(e, covariances), e.shape[1])

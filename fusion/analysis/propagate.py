@@ -16,6 +16,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 from numpy.typing import NDArray
 
+from mapfuse.datasets.errors import ConfigError
 from mapfuse.factors import Unknown
 
 from ..solve import Solution
@@ -76,7 +77,12 @@ def sigma_points(solution: Solution, of: Sequence[Unknown]) -> Spread:
 
 
 def monte_carlo(solution: Solution, of: Sequence[Unknown], draws: int, rng: np.random.Generator) -> Spread:
-    """By ``draws`` of the noise of all readings; a standard deviation is then known to one part in sqrt(2 draws)."""
+    """By ``draws`` of the noise of all readings; a standard deviation is then known to one part in sqrt(2 draws).
+
+    Raises ConfigError for fewer than two draws.
+    """
+    if draws < 2:
+        raise ConfigError(f"a spread needs two draws or more, not {draws}")
     perturbed = Perturbed(solution, of)
     errors = np.array([perturbed.moved(rng.normal(size=perturbed.rows)).reshape(-1) for _ in range(draws)])
     return Spread(errors.mean(axis=0), np.cov(errors.T), draws, errors)

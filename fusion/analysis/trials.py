@@ -69,7 +69,7 @@ class Trials:
 
     @property
     def consistency(self) -> Consistency:
-        """NEES of T12 in the merged ones."""
+        """NEES of T12 in the merged ones; raises `MapfuseError` where there are none."""
         return consistency(self.errors, self.covariances)
 
 

@@ -132,6 +132,8 @@ def test_a_page_of_a_pair_shows_its_placements(fused: FusedMap) -> None:
     assert page.get_suptitle() == "D1 + D2: merged"
     assert sum(title.startswith("possible placement") for title in titles) == 2
     assert len(draw_pair(replace(fused, sources={})).axes) == 0
+    simulated = {name: map_.replace(extra={"simulated": True}) for name, map_ in fused.sources.items()}
+    assert draw_pair(replace(fused, sources=simulated)).get_suptitle() == "D1 + D2, simulated: merged"
 
 
 def test_a_drive_and_a_building_are_drawn() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapfuse.datasets import read_map, recordings
+from mapfuse.datasets.errors import ConfigError
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
 from mapfuse.datasets.simulation.pairs import simulated_pair
 from mapfuse.factors import FrameKey, LandmarkKey, build_problem, pair_problem, single_map_problem
@@ -125,4 +126,5 @@ def test_the_same_seed_draws_the_same(pair):
     T = [FrameKey(1)]
     one, other = (monte_carlo(pair, T, 3, np.random.default_rng(6)).errors for _ in range(2))
     assert np.array_equal(one, other)
-    assert sigma_points(pair, T).errors is None
+    with pytest.raises(ConfigError, match="two draws or more, not 1"):
+        monte_carlo(pair, T, 1, np.random.default_rng(6))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mapfuse.datasets.errors import MapfuseError
 from mapfuse.datasets.simulation import MILKA, VESPUCCI, SimulationError, simulated_pair
 from mapfuse.fusion import fuse
 from mapfuse.fusion.analysis import Drives, consistency, rerecord, run_trials
@@ -85,3 +86,5 @@ def test_pairs_without_any_hypothesis_count_and_say_nothing():
     trials = run_trials([(map1, empty, truth)])
     assert (len(trials), len(trials.merged), trials.errors.shape) == (1, 0, (0, 3))
     assert np.isnan(trials.all[0].error).all()
+    with pytest.raises(MapfuseError, match="no errors to judge"):
+        _ = trials.consistency
