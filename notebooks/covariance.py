@@ -212,7 +212,8 @@ table(
 # Two longer drives on another floor, whose maps carry compass readings. The graph is solved again with fewer of their
 # matches (random ones, one in the middle always among them), without compass, and with drift as if the robots' odometry
 # and gyroscopes were better or worse than they are. Shown are the rotation of `T12`, and the position of map 2's
-# landmarks relative to the one in the middle (root mean square).
+# landmarks relative to the one in the middle (root mean square); lines are medians over six draws of matches, bands
+# their range.
 
 # %%
 wide = Drives.drawn(TEST_SEEDS[1], share=(0.6, 0.7), min_common=16)

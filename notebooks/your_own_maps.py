@@ -92,7 +92,7 @@ Markdown(
 
 # %% [markdown]
 # `detection_rate` and `false_alarm_rate` are what no such file says: how much the robot misses and invents (on the
-# command line `--set detection_rate=0.9`). They matter as much as the positions: a landmark that the other robot passed
+# command line `--set detection_rate=0.9`). They count: a landmark that the other robot passed
 # and doesn't have speaks against a placement.
 #
 # What a format can't hold is missed later. Two simulated maps of one floor, as mapfuse's own format has them, with
