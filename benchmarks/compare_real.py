@@ -13,7 +13,8 @@ DATA holds the recordings (``mrclam``, ``slideslam``, ``halmstad``), which are n
 | Halmstad E5 | hand-picked corners of 14 sensor maps | hand-made correspondences, best rigid fit |
 
 Landmarks are in random order with names that say nothing. A placement is right where it takes the common landmarks of
-map 2, on average, to within the limit of the data set. ``--write`` keeps the tables in
+map 2, on average, to within the limit of the data set: 0.5 m, 0.6 m, 3 m (halves of 250 m that are bent against each
+other), 5 % of the map's diagonal. ``--write`` keeps the tables in
 ``benchmarks/results/compare-real.md``.
 """
 
@@ -42,6 +43,7 @@ from mapfuse.datasets.truth import Truth
 from mapfuse.datasets.victoria_park import victoria_park_halves
 from mapfuse.fusion import FuseConfig, FusedMap, fuse
 from mapfuse.fusion.compare import METHODS, Evaluation, compare_pair, methods
+from mapfuse.fusion.compare.evaluation import MOST_OFF_M
 from mapfuse.matching.config import MatchingConfig
 
 Array = NDArray[np.float64]
@@ -224,7 +226,7 @@ def by_matches(map1: LandmarkMap, map2: LandmarkMap, T12: Array, matches: Sequen
 
 def victoria_park() -> Iterator[Pair]:
     map1, map2, truth = victoria_park_halves()
-    yield Pair("Victoria Park", map1, map2, truth, 1.0)
+    yield Pair("Victoria Park", map1, map2, truth, MOST_OFF_M)
 
 
 def halmstad() -> Iterator[Pair]:

@@ -43,6 +43,8 @@ class Perturbed:
     The solution is taken for the truth, and every reading for what it would be there, plus its noise: e = 0 gives the
     solution back, and e drawn from N(0, 1) is what the measurement model says of a recording of the same landmarks.
     Priors that keep the solver from floating have no noise. Which landmarks match is given, and no gate is applied.
+    Compass readings that a joint covariance knows already count as one together, each with a sigma of that many times
+    its own (row 9 of the measurement model): a direction with noise of radians is no more than roughly what is meant.
 
     >>> from mapfuse.datasets import read_map, recordings
     >>> from mapfuse.factors import LandmarkKey, single_map_problem

@@ -67,16 +67,21 @@ def _merge(map1: LandmarkMap, map2: LandmarkMap, T12: Array | None, config: Matc
     return rigid_merge(map1, map2, found, matched_under(map1, map2, found, config))
 
 
-def ransac(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Array | None:
-    """T12 (3,) by RANSAC on descriptors; None where there are fewer than three points, or the plane is turned over."""
+def ransac(
+    map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float, described: tuple[Array, Array] | None = None
+) -> Array | None:
+    """T12 (3,) by RANSAC on descriptors; None where there are fewer than three points, or the plane is turned over.
+
+    ``described``: of both maps (n, d), by default `descriptors`.
+    """
     o3d = open3d()
     if min(len(map1), len(map2)) < 3:
         return None
     registration: Any = o3d.pipelines.registration
     features = []
-    for described in reversed(descriptors(map1, map2)):
+    for of_map in reversed(described or descriptors(map1, map2)):
         feature = registration.Feature()
-        feature.data = described.T
+        feature.data = of_map.T
         features.append(feature)
     o3d.utility.random.seed(SEED)
     with _quiet(o3d):
