@@ -77,6 +77,17 @@ class Perturbed:
         seen = [se2.between(poses[m.a], poses[m.b]) if isinstance(m, Between) else poses[m.of] for m in of_poses]
         return np.array(seen).reshape(-1, 3), np.array([_colouring(m.noise) for m in of_poses]).reshape(-1, 3, 3)
 
+    @cached_property
+    def _silent(self) -> tuple[Measurement, ...]:
+        """All readings without noise; sigma points change one at a time, and making hundreds anew takes long."""
+        seen, poses = iter(self._seen[0].tolist()), self.solution.poses
+        return tuple(
+            replace(m, measured=tuple(next(seen)))
+            if isinstance(m, Between | Prior)
+            else _read_at(m, poses, np.zeros(_height(m)))
+            for m, _ in self._readings
+        )
+
     def problem(self, e: Array) -> Problem:
         """The problem with readings taken at the solution, their whitened noise being ``e`` (rows,)."""
         noise, at = [], 0
@@ -89,9 +100,12 @@ class Perturbed:
         off = se2.exp(np.einsum("kij,kj->ki", colouring, np.array(of_poses).reshape(-1, 3)))
         read = iter(se2.compose(seen, off).tolist())
         measurements: list[Measurement] = []
-        for (measurement, _), own in zip(self._readings, noise, strict=True):
-            if isinstance(measurement, Between | Prior):
-                measurements.append(replace(measurement, measured=tuple(next(read))))
+        for (measurement, _), own, silent in zip(self._readings, noise, self._silent, strict=True):
+            measured = next(read) if isinstance(measurement, Between | Prior) else []
+            if not own.any():
+                measurements.append(silent)
+            elif isinstance(measurement, Between | Prior):
+                measurements.append(replace(measurement, measured=tuple(measured)))
             else:
                 measurements.append(_read_at(measurement, self.solution.poses, own))
         return self.solution.problem.starting_at(self.solution.poses).with_measurements(measurements)
