@@ -32,7 +32,7 @@ RINGS, SECTORS = 8, 8
 NEIGHBOURS, LABELS = 24, 6
 RANSAC_TRIALS, RANSAC_CONFIDENCE = 100_000, 0.999
 ICP_ROUNDS = 200
-#: Open3D draws samples: the same pair gives the same answer.
+#: Of Open3D's draws. It draws in several threads, so that a close call may still come out otherwise.
 SEED = 0
 
 
