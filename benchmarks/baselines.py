@@ -2,7 +2,7 @@
 
 The latter two are optional (``pip install open3d kiss-matcher``) and skipped with a reason where they can't be
 imported. Give them an environment of their own: they bring along a pytest plugin that our tests refuse. Neither knows
-landmarks: both get each landmark's place, lifted to 3-D, and a descriptor of ours that tells who its neighbours are.
+landmarks: both get each landmark's place, lifted to 3-D, and a descriptor of ours (`mapfuse.fusion.compare.clouds`).
 The descriptor is worked out once per map and not timed, as our own matcher's arrays aren't.
 """
 
@@ -11,26 +11,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import heading_of
 from mapfuse.datasets.errors import TooLargeError
 from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.fusion.compare.clouds import descriptors, ransac
 from mapfuse.matching.config import MatchingConfig
 from mapfuse.matching.exhaustive import match_exhaustively
 
 Array = NDArray[np.float64]
 
-_RINGS, _SECTORS = 8, 8
-#: Neighbours looked at, and how many rival partners a landmark may have.
-_NEIGHBOURS, _PARTNERS = 24, 3
-#: Labels that the descriptor tells apart.
-_LABELS = 6
+#: How many rival partners a landmark may have.
+_PARTNERS = 3
 _PAPER_TRIALS = 30_000_000
 
 
@@ -69,37 +65,6 @@ def _missing(module: str) -> str:
     return ""
 
 
-def descriptor(recorded: LandmarkMap, labels: Sequence[str], ring_m: float) -> Array:
-    """Who is around each landmark, (n, d): neighbours by label, distance, and direction from its heading.
-
-    Without heading, directions are left out. ``labels``: of both maps together; ``ring_m`` [m]: width of a ring.
-    Smoothed over neighbouring rings and sectors, so that noise changes it little.
-    """
-    xy, n = recorded.positions, len(recorded)
-    code = {label: k % _LABELS for k, label in enumerate(labels)}
-    label = np.array([code[t] for t in recorded.types])
-    headings = [heading_of(landmark) for landmark in recorded.landmarks]
-    heading = np.array([np.nan if h is None else h for h in headings])
-    length, near = KDTree(xy).query(xy, k=min(_NEIGHBOURS + 1, n))
-    length, near = length[:, 1:], near[:, 1:]
-    offset = xy[near] - xy[:, None]
-    direction = np.arctan2(offset[..., 1], offset[..., 0]) - np.nan_to_num(heading)[:, None]
-    rings = np.exp(-0.5 * (length[..., None] / ring_m - np.arange(_RINGS) - 0.5) ** 2)
-    sectors = np.exp(2 * (np.cos(direction[..., None] - np.arange(_SECTORS) * (2 * np.pi / _SECTORS)) - 1))
-    sectors[np.isnan(heading)] = 1 / _SECTORS
-    kinds = np.eye(_LABELS)[label[near]]
-    around = np.einsum("nkr,nks,nkl->nrsl", rings, sectors, kinds).reshape(n, -1)
-    around = np.sqrt(around / np.maximum(around.sum(axis=1, keepdims=True), 1e-9))
-    return np.ascontiguousarray(np.hstack([around, 2.0 * np.eye(_LABELS)[label]]))
-
-
-def _described(map1: LandmarkMap, map2: LandmarkMap) -> tuple[Array, Array]:
-    labels = sorted({*map1.types, *map2.types})
-    nearest = np.asarray(KDTree(map1.positions).query(map1.positions, k=[min(7, len(map1))])[0])
-    ring = max(float(np.median(nearest)) / 2, 1e-6)
-    return descriptor(map1, labels, ring), descriptor(map2, labels, ring)
-
-
 def _lifted(recorded: LandmarkMap) -> Array:
     return np.column_stack([recorded.positions, np.zeros(len(recorded))])
 
@@ -125,41 +90,17 @@ def _paper(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
 
 
 def _open3d(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
-    import open3d
-
-    registration: Any = open3d.pipelines.registration
-    clouds, features = [], []
-    for recorded, described in zip((map2, map1), reversed(_described(map1, map2)), strict=True):
-        cloud = open3d.geometry.PointCloud()
-        cloud.points = open3d.utility.Vector3dVector(_lifted(recorded))
-        feature = registration.Feature()
-        feature.data = described.T
-        clouds.append(cloud)
-        features.append(feature)
-    open3d.utility.random.seed(0)
+    described = descriptors(map1, map2)
     begin = time.perf_counter()
-    found: Any = registration.registration_ransac_based_on_feature_matching(
-        *clouds,
-        *features,
-        False,
-        tolerance_m,
-        registration.TransformationEstimationPointToPoint(False),
-        3,
-        [
-            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-            registration.CorrespondenceCheckerBasedOnDistance(tolerance_m),
-        ],
-        registration.RANSACConvergenceCriteria(100_000, 0.999),
-    )
+    T12 = ransac(map1, map2, tolerance_m, described)
     seconds = time.perf_counter() - begin
-    motion = np.asarray(found.transformation)
-    return _flat(motion[:3, :3], motion[:3, 3], seconds)
+    return Answer(T12, seconds, "" if T12 is not None else "turned the map over")
 
 
 def _kiss(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
     import kiss_matcher
 
-    described1, described2 = _described(map1, map2)
+    described1, described2 = descriptors(map1, map2)
     begin = time.perf_counter()
     place1 = _mutual(described1, described2)
     if len(place1[0]) < 3:

@@ -185,8 +185,8 @@ def our_trial(pair: FloorPair) -> Trial:
 
 def baseline_trial(baseline: baselines.Baseline, pair: FloorPair) -> Trial | str:
     """Its one answer, or why it did not try; the descriptor, worked out once per map, isn't timed."""
-    described = baselines._described(pair.map1, pair.map2)
-    with patch.object(baselines, "_described", lambda *_: described):
+    described = baselines.descriptors(pair.map1, pair.map2)
+    with patch.object(baselines, "descriptors", lambda *_: described):
         processor = time.process_time()
         answer = baseline.run(pair.map1, pair.map2, BASELINE_TOLERANCE)
         processor = time.process_time() - processor

@@ -44,20 +44,34 @@ class NorthPrior(Prior):
 
 
 def compass_readings(recorded: LandmarkMap, r: int) -> Iterator[CompassReading]:
-    """All compass readings of arms whose heading is known, by landmark id."""
+    """All compass readings of arms whose heading is known, by landmark id.
+
+    A joint covariance with headings is of all that the robot knew, its compass included: the readings of its landmarks
+    say nothing more of how these lie to each other, and together they count as one, which ties the map to north.
+    """
     keys, headings = map_keys(recorded, r), headings_of(recorded)
     if keys.compass is None:
         return
+    joint = recorded.joint_covariance
+    known = frozenset(joint.order if joint is not None and joint.rows == 3 else ())
+    seen = {identifier: _seen(recorded[identifier], headings[identifier] or 0.0) for identifier in keys.landmarks}
+    of_known = sum(len(seen[identifier]) for identifier in keys.landmarks if identifier in known)
     for identifier, key in keys.landmarks.items():
-        landmark, h = recorded[identifier], headings[identifier] or 0.0
-        noise = PoseNoise.from_sigmas(np.inf, np.inf, _reading_sigma(recorded, landmark))
-        seen = sorted(
-            wrapped(link.compass - (link.heading - h))
-            for link in landmark.links
-            if link.compass is not None and link.heading is not None
-        )
-        for theta in seen:
+        sigma = _reading_sigma(recorded, recorded[identifier])
+        if identifier in known:
+            sigma *= float(np.sqrt(max(of_known, 1)))
+        noise = PoseNoise.from_sigmas(np.inf, np.inf, sigma)
+        for theta in seen[identifier]:
             yield CompassReading(keys.compass, key, (0.0, 0.0, theta), noise, STEEL)
+
+
+def _seen(landmark: Landmark, heading: float) -> list[float]:
+    """Compass readings of a landmark's arms, less how these stand to its heading [rad], in order."""
+    return sorted(
+        wrapped(link.compass - (link.heading - heading))
+        for link in landmark.links
+        if link.compass is not None and link.heading is not None
+    )
 
 
 def _reading_sigma(recorded: LandmarkMap, landmark: Landmark) -> float:

@@ -92,6 +92,14 @@ def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
     return tuple(joined[k] for k in sorted(rank[:MAX_LINKS]))
 
 
+def meant_variance(recorded: LandmarkMap, landmark: Landmark) -> Array:
+    """Variance (3,) over (x, y, heading) of what one robot means by a landmark from where that is: half of row 10 of
+    the measurement model, and the errors of its arms."""
+    arms = len(signature(landmark).headings)
+    heading = arms_variance(recorded, landmark, arms) + SAME_HEADING**2 / 2
+    return np.array([SAME_PLACE**2 / 2, SAME_PLACE**2 / 2, heading])
+
+
 def merged_landmarks(
     maps: Sequence[LandmarkMap],
     places: Sequence[Place],
@@ -115,10 +123,8 @@ def merged_landmarks(
         for member in place.members:
             block = 3 * covariance[member]
             average[3 * k : 3 * k + 3, block : block + 3] = np.eye(3) / len(place.members)
-            recorded, landmark = maps[member[0]], maps[member[0]].landmarks[member[1]]
-            arms = len(signature(landmark).headings)
-            joint[block + 2, block + 2] += arms_variance(recorded, landmark, arms) + SAME_HEADING**2 / 2
-            joint[[block, block + 1], [block, block + 1]] += SAME_PLACE**2 / 2
+            own = np.arange(block, block + 3)
+            joint[own, own] += meant_variance(maps[member[0]], maps[member[0]].landmarks[member[1]])
     mean = average.tocsr()
     fused_joint = np.asarray(mean @ (mean @ joint).T)
     fused_joint = (fused_joint + fused_joint.T) / 2

@@ -108,10 +108,28 @@ def _in_group(
 
 def mixture(transforms: Sequence[Transform], probabilities: Array) -> Array:
     """Covariance of T12 over all hypotheses, given that the maps overlap: within them and between them."""
-    weight = probabilities / probabilities.sum()
-    means = np.array([T.array for T in transforms])
-    off = means - means[0]
-    off[:, 2] = se2.wrap(off[:, 2])
-    off -= weight @ off
-    within = np.einsum("k,kij->ij", weight, np.array([T.covariance for T in transforms]))
-    return np.asarray(within + np.einsum("k,ki,kj->ij", weight, off, off))
+    means = np.array([[T.array] for T in transforms])
+    covariances = np.array([[T.covariance] for T in transforms])
+    _, within, between = moments(probabilities / probabilities.sum(), means, covariances)
+    return np.asarray(within[0] + between[0])
+
+
+def moments(weights: Array, poses: Array, covariances: Array) -> tuple[Array, Array, Array]:
+    """Of n poses that k hypotheses place (k, n, 3) with covariances (k, n, 3, 3): mean (n, 3), covariance within the
+    hypotheses (n, 3, 3), and between them.
+
+    ``weights`` (k,) sum to 1. Angles are counted from those of the first hypothesis.
+
+    >>> poses = np.array([[[0.0, 0.0, 0.0]], [[2.0, 0.0, 0.0]]])
+    >>> mean, within, between = moments(np.array([0.5, 0.5]), poses, np.zeros((2, 1, 3, 3)))
+    >>> mean[0].tolist(), between[0, 0].tolist()
+    ([1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+    """
+    off = poses - poses[0]
+    off[..., 2] = se2.wrap(off[..., 2])
+    centre = np.einsum("k,kni->ni", weights, off)
+    off = off - centre
+    mean = poses[0] + centre
+    mean[:, 2] = se2.wrap(mean[:, 2])
+    within = np.einsum("k,knij->nij", weights, covariances)
+    return mean, np.asarray(within), np.asarray(np.einsum("k,kni,knj->nij", weights, off, off))

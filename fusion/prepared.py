@@ -180,7 +180,7 @@ def _arms(map_: LandmarkMap, headings: Array) -> tuple[Array, NDArray[np.bool_],
     return np.asarray(se2.wrap(recorded + headings[:, None] - own[:, None])), passable, travelled
 
 
-def _corridors(map_: LandmarkMap, positions: Array, headings: Array, angle: float) -> NDArray[np.intp]:
+def straight_corridors(map_: LandmarkMap, positions: Array, headings: Array, angle: float) -> NDArray[np.intp]:
     """Pairs of landmarks joined by a link that goes straight: along an arm at every end that has one."""
     found: set[tuple[int, int]] = set()
     bent: set[tuple[int, int]] = set()
@@ -226,5 +226,5 @@ def prepare(
         solution.check_determined()
     headings = np.where(headed, poses[:, 2], np.nan)
     directions, passable, travelled = _arms(map_, poses[:, 2])
-    corridors = _corridors(map_, poses[:, :2], headings, corridor_angle)
+    corridors = straight_corridors(map_, poses[:, :2], headings, corridor_angle)
     return PreparedMap(map_, poses[:, :2], headings, solution, directions, passable, travelled, corridors)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from scipy.special import chdtr, chdtri
 from mapfuse.datasets.maps import JointCovariance, LandmarkMap, Link
 from mapfuse.datasets.transform import Transform
 from mapfuse.datasets.values import frozen_array, rebuilt, same_fields
+
+if TYPE_CHECKING:
+    from .mixture import LandmarkMixture
 
 Array = NDArray[np.float64]
 PairDecision = Literal["merged", "ambiguous", "no_overlap"]
@@ -225,3 +228,13 @@ class FusedMap:
         from .tomap import to_map
 
         return to_map(self, group, name)
+
+    def landmark_mixture(self, maps: tuple[str, str] | None = None) -> LandmarkMixture:
+        """The landmarks of a pair over all its hypotheses, in the frame of the first of ``maps`` (the first pair's).
+
+        As `PairResult.mixture_covariance` for T12: what to use of a landmark where nothing is decided. The graphs of
+        the rivals are solved now; `mapfuse.fusion.mixture.landmark_mixture` says how, and what it raises.
+        """
+        from .mixture import landmark_mixture
+
+        return landmark_mixture(self, maps)

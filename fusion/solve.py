@@ -124,8 +124,10 @@ class Solution:
         return self.joint_covariance(self.landmark_keys(r))
 
 
-def _optimum(problem: Problem, rejected: Sequence[Correspondence] = ()) -> Solution:
-    """The optimum nearby, to the last step: Gauss-Newton, and Levenberg-Marquardt where that doesn't descend.
+def optimum(problem: Problem, rejected: Sequence[Correspondence] = ()) -> Solution:
+    """The optimum nearby of all measurements as they stand, ungated: what `solve` is made of.
+
+    To the last step: Gauss-Newton, and Levenberg-Marquardt where that doesn't descend.
 
     Levenberg-Marquardt alone may report success after a small decrease far from the optimum, and covariances there
     are worth nothing.
@@ -263,19 +265,19 @@ def solve(problem: Problem, config: SolvingConfig) -> Solution:
     """
     doubted = any(m.loss is not None for m in problem.of_kind(Correspondence))
     trusted = _trusted(problem) if doubted else problem
-    solution = _optimum(trusted)
+    solution = optimum(trusted)
     if doubted:
         solution = _turned(trusted, solution)
     excess = _excess(solution, config)
     if doubted and len(excess) and np.mean(excess > 1) > MANY:
-        solution = _optimum(_matched_again(problem.starting_at(_robust_optimum(problem))))
+        solution = optimum(_matched_again(problem.starting_at(_robust_optimum(problem))))
         excess = _excess(solution, config)
     rejected: list[Correspondence] = []
     while excess.max(initial=0.0) > 1:
         worst = solution.problem.of_kind(Correspondence)[int(np.argmax(excess))]
         rejected.append(worst)
         kept = [m for m in solution.problem.measurements if m is not worst]
-        solution = _optimum(solution.problem.starting_at(solution.poses).with_measurements(kept), rejected)
+        solution = optimum(solution.problem.starting_at(solution.poses).with_measurements(kept), rejected)
         excess = _excess(solution, config)
     return solution
 
@@ -298,7 +300,7 @@ def _turned(problem: Problem, solution: Solution) -> Solution:
     if max(turns) < TURNED:
         return solution
     again = _matched_again(problem.starting_at(solution.poses))
-    return solution if again.measurements == problem.measurements else _optimum(again)
+    return solution if again.measurements == problem.measurements else optimum(again)
 
 
 def _excess(solution: Solution, config: SolvingConfig) -> Array:

@@ -124,6 +124,24 @@ def match_exhaustively(map1: LandmarkMap, map2: LandmarkMap, config: MatchingCon
     )
 
 
+def matched_under(
+    map1: LandmarkMap, map2: LandmarkMap, T12: Transform, config: MatchingConfig | None = None
+) -> tuple[tuple[str, str], ...]:
+    """The (id in map 1, id in map 2) that the paper's count (step 4) counts under one T12, in the order of map 1.
+
+    >>> from mapfuse.datasets.maps import Landmark
+    >>> one, two = (LandmarkMap(name, (Landmark("d", "door", 0.0, y),)) for name, y in (("one", 0.0), ("two", 0.4)))
+    >>> matched_under(one, two, Transform(0.0, 0.0, 0.0)), matched_under(one, two, Transform(0.0, 1.0, 0.0))
+    ((('d', 'd'),), ())
+    """
+    found = [(i, j) for _, i, j, _ in _overlaps(map1, map2, T12.array[None], config or MatchingConfig())]
+    if not found:
+        return ()
+    ((index1, index2),) = found
+    order = np.argsort(index1)
+    return tuple((map1.ids[i], map2.ids[j]) for i, j in zip(index1[order], index2[order], strict=True))
+
+
 def _overlaps(
     map1: LandmarkMap, map2: LandmarkMap, T12s: Array, config: MatchingConfig
 ) -> Iterator[tuple[Indices, Indices, Indices, Array]]:

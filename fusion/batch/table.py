@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -82,15 +82,28 @@ def _csv(columns: tuple[str, ...], rows: Iterable[Row]) -> Iterator[bytes]:
     yield text.getvalue().encode()
 
 
-def write_parquet(path: Path, rows: Iterable[Row]) -> bool:
-    """The table of pairs as Parquet; False where pyarrow (extra ``[batch]``) isn't there. Raises `OutputError`."""
+def kind_of(column: str) -> str:
+    """What a column of the table of pairs holds: ``text``, ``count`` or ``number``."""
+    return "text" if column in _TEXTS else "count" if column == "count" else "number"
+
+
+def write_parquet(
+    path: Path,
+    rows: Iterable[Row],
+    columns: tuple[str, ...] = PAIR_COLUMNS,
+    kind_of: Callable[[str], str] = kind_of,
+) -> bool:
+    """A table as Parquet, by default that of pairs; False where pyarrow (extra ``[parquet]``) isn't there.
+
+    ``kind_of``: ``text``, ``count``, ``flag`` or ``number``, by a column's name. Raises `OutputError`.
+    """
     try:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError:
         return False
-    kinds = {"count": pa.int64(), **dict.fromkeys(_TEXTS, pa.string())}
-    schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in PAIR_COLUMNS])
+    kinds = {"text": pa.string(), "count": pa.int64(), "flag": pa.bool_(), "number": pa.float64()}
+    schema = pa.schema([(name, kinds[kind_of(name)]) for name in columns])
     temporary = path.with_name(f".{path.name}.tmp")
     try:
         with parquet.ParquetWriter(temporary, schema) as writer:

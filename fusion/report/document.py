@@ -13,7 +13,7 @@ from typing import Any
 from mapfuse.datasets.jsondata import encode
 
 #: In the order in which they are run; each uses only what stands before it.
-SCRIPTS = ("base.js", "view.js", "uncertainty.js", "fused.js", "single.js", "batch.js", "start.js")
+SCRIPTS = ("base.js", "view.js", "uncertainty.js", "fused.js", "single.js", "batch.js", "compare.js", "start.js")
 
 
 def document(

@@ -81,7 +81,8 @@ def pair_page(fused: FusedMap, pair: PairResult) -> Page:
     mains = _rival_panels(fused, pair)
     shown = tuple(panel for panel in _source_panels(fused, pair.maps))
     none = f"probability of no overlap {probability_text(pair.no_overlap_probability)}"
-    title = f"{_joined(pair.maps)}: {pair.decision.replace('_', ' ')}"
+    origin = _origin([fused.sources[name] for name in pair.maps if name in fused.sources])
+    title = f"{_joined(pair.maps)}{origin}: {pair.decision.replace('_', ' ')}"
     overruled = f" (overruled by {', '.join(map(shortened, pair.overruled_by))})" if pair.overruled_by else ""
     statement = None if mains else "The placements can't be drawn: there are none, or the maps aren't embedded."
     return Page(title, fused.maps, (none,), shown, mains, statement, (f"{pair.reason}{overruled}",))

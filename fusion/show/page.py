@@ -59,7 +59,7 @@ def draw_page(page: Page, path: str | Path | None, *, ids: bool | None, ellipse_
         below += height + 0.08
     _stack(notes, below + 0.1, total)
     if path is not None:
-        _save(figure, path)
+        save(figure, path)
     return figure
 
 
@@ -141,7 +141,7 @@ def _checked_suffix(path: str | Path) -> str:
     return suffix
 
 
-def _save(figure: Figure, path: str | Path) -> None:
+def save(figure: Figure, path: str | Path) -> None:
     """The figure's file, whole or not at all; the same picture gives the same bytes."""
     kind = _checked_suffix(path)[1:]
     dateless = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]

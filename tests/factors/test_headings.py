@@ -99,10 +99,23 @@ def reading_sigmas(recorded):
     return [1 / reading.noise.tt for reading in single_map_problem(recorded).of_kind(CompassReading)]
 
 
-@pytest.mark.parametrize(("joint", "own"), [(None, 1.0), (WHOLE, 3 / 4)])
-def test_a_compass_reading_is_off_by_the_arms_own_error_too(joint, own):
-    expected = np.sqrt(0.05**2 + own * SIGMA**2 / 2)
-    assert reading_sigmas(crossing(4, joint)) == pytest.approx([expected] * 4)
+def test_a_compass_reading_is_off_by_the_arms_own_error_too():
+    expected = np.sqrt(0.05**2 + SIGMA**2 / 2)
+    assert reading_sigmas(crossing(4)) == pytest.approx([expected] * 4)
+
+
+@pytest.mark.parametrize("k", [1, 3, 4])
+def test_readings_of_headings_in_a_joint_covariance_are_one_together(k):
+    """All the covariance is of has been measured with the same compass: k readings know north as well as one does."""
+    one = 0.05**2 + (1 - 1 / k) * SIGMA**2 / 2  # the mean of the arms' own errors is in the covariance
+    assert 1 / np.sum(1 / np.square(reading_sigmas(crossing(k, WHOLE)))) == pytest.approx(one)
+
+
+def test_readings_of_headings_beside_a_joint_covariance_count_each():
+    positions_only = JointCovariance(("x", "y"), 2, np.eye(4))
+    of_y_only = JointCovariance(("y",), 3, np.eye(3))
+    for joint in (positions_only, of_y_only):
+        assert reading_sigmas(crossing(4, joint)) == pytest.approx(reading_sigmas(crossing(4)))
 
 
 @pytest.mark.parametrize("heading", [None, 0.3])

@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.path import Path
+from matplotlib.transforms import Affine2D
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import ConfigError
@@ -17,7 +20,16 @@ from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.simulation import build, floor_from_graph
 from mapfuse.datasets.transform import Transform
 from mapfuse.fusion.result import Frame, FusedLandmark, FusedMap, PairResult, RankedHypothesis
-from mapfuse.fusion.show import draw_pair, plot_building, plot_fused, plot_log, plot_map, plot_pair
+from mapfuse.fusion.show import (
+    charts,
+    draw_pair,
+    plot_building,
+    plot_ellipses,
+    plot_fused,
+    plot_log,
+    plot_map,
+    plot_pair,
+)
 from mapfuse.fusion.show.journey import journey
 from mapfuse.fusion.show.log_page import Drive
 
@@ -120,6 +132,8 @@ def test_a_page_of_a_pair_shows_its_placements(fused: FusedMap) -> None:
     assert page.get_suptitle() == "D1 + D2: merged"
     assert sum(title.startswith("possible placement") for title in titles) == 2
     assert len(draw_pair(replace(fused, sources={})).axes) == 0
+    simulated = {name: map_.replace(extra={"simulated": True}) for name, map_ in fused.sources.items()}
+    assert draw_pair(replace(fused, sources=simulated)).get_suptitle() == "D1 + D2, simulated: merged"
 
 
 def test_a_drive_and_a_building_are_drawn() -> None:
@@ -131,3 +145,19 @@ def test_a_drive_and_a_building_are_drawn() -> None:
     ax = axes()
     assert {artist.get_gid() for artist in plot_building(ax, building)} >= {"building", "places"}
     assert shown_in(ax, building.walls.reshape(-1, 2))
+
+
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_ellipses_hold_95_percent_of_what_is_drawn_from_them(scale: float) -> None:
+    _, (ax, _) = charts(2, height=3.0)
+    C = np.array([[4.0, 1.5], [1.5, 1.0]]) / scale**2
+    drawn = plot_ellipses(ax, [[1.0, 2.0], [50.0, 0.0]], [C, C], label="T12", scale=scale)
+    ax.set_aspect("equal")
+    FigureCanvasAgg(ax.figure).draw()
+    (path, *_), (transform, *_) = drawn.get_paths(), drawn.get_transforms()
+    outline = path.transformed(Affine2D(transform)).vertices
+    points = np.random.default_rng(1).multivariate_normal([0.0, 0.0], C * scale**2, 20_000)
+    assert Path(outline).contains_points(points).mean() == pytest.approx(0.95, abs=0.01)
+    assert ax.get_legend_handles_labels()[1] == ["T12"]
+    assert ax.get_xlim()[0] < 1.0 - 2 * 2.0
+    assert ax.get_xlim()[1] > 50.0 + 2 * 2.0

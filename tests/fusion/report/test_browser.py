@@ -17,7 +17,8 @@ import pytest
 from mapfuse.datasets.logs import Detection, LogHeader, LogTruth, Odometry, Scan
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 from mapfuse.fusion import write_fused
-from mapfuse.fusion.report import batch_report, fused_report, log_report, map_report
+from mapfuse.fusion.compare.sheets import Sheet
+from mapfuse.fusion.report import batch_report, compare_report, fused_report, log_report, map_report
 from mapfuse.fusion.result import FusedMap
 from mapfuse.fusion.show.journey import journey
 from mapfuse.fusion.show.log_page import Drive
@@ -549,3 +550,51 @@ def test_a_batch_s_pairs_are_paged_filtered_and_sorted(browser: Browser, batch_p
     browser.js(code, "#decision", "all", "change")
     browser.click("#pairs th:nth-child(2) button")
     assert browser.text("#pairs tbody tr td:nth-child(2)") == "other-449"
+
+
+# A comparison --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def compare_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rows = tuple((f"map {k}", "heuristic" if k % 2 else "optimised", f"{k / 4:.2f}" if k else "-") for k in range(20))
+    sheets = [Sheet("Pairs", ("maps", "method", "rms [m], all"), ((HOSTILE[0], HOSTILE[1], "0.01"), *rows))]
+    sheets.append(Sheet("Summary", ("method",), (("heuristic",),), HOSTILE[3]))
+    buffer = io.BytesIO()
+    matplotlib.image.imsave(buffer, np.zeros((12, 30, 3)), format="png")
+    path = tmp_path_factory.mktemp("compare") / "compare.html"
+    compare_report(
+        HOSTILE[0], HOSTILE[3], sheets, path, facts=[["Data", HOSTILE[1]]], pictures={"Fig. 2": buffer.getvalue()}
+    )
+    return path
+
+
+def test_a_comparison_s_tables_are_sorted_and_filtered_and_its_pictures_shown(
+    browser: Browser, compare_page: Path
+) -> None:
+    browser.open(compare_page)
+    assert browser.errors() == []
+    assert browser.js("return window.hacked") is None
+    table = "section:first-of-type"
+    assert browser.text(f"{table} output") == "21 of 21 rows"
+    assert browser.text(f"{table} td") == HOSTILE[0]
+    browser.click(f"{table} th:nth-child(3) button")
+    assert browser.text(f"{table} tbody tr:nth-child(1) td:nth-child(3)") == "0.01"
+    assert browser.text(f"{table} tbody tr:nth-child(21) td:nth-child(3)") == "-"
+    browser.click(f"{table} th:nth-child(3) button")
+    assert browser.text(f"{table} tbody tr:nth-child(2) td:nth-child(3)") == "4.75"
+    code = (
+        "const e = document.querySelector('input[type=search]'); e.value = 'HEUR'; e.dispatchEvent(new Event('input'))"
+    )
+    browser.js(code)
+    assert browser.text(f"{table} output") == "10 of 21 rows"
+    assert browser.js("const i = document.querySelector('img.picture'); return [i.naturalWidth, i.alt]") == [
+        30,
+        "Fig. 2",
+    ]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_comparison_s_text_stands_out(browser: Browser, compare_page: Path, scheme: str) -> None:
+    browser.open(compare_page, scheme=scheme)
+    assert min(browser.js(CONTRASTS)) > 4.5
