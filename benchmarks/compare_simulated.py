@@ -172,8 +172,8 @@ def main() -> None:
     lines = [
         "# Heuristic against optimised on fresh simulated pairs",
         "",
-        f"{pairs} pairs of each kind of floor and {hospitals} hospitals, seeds from {given.first}, on which nothing was "
-        f"tuned. All is simulated. {platform.machine()}, 2 cores, Python {platform.python_version()}, "
+        f"{pairs} pairs of each kind of floor and {hospitals} hospitals, seeds from {given.first}; nothing was "
+        f"tuned on them. All simulated. {platform.machine()}, 2 cores, Python {platform.python_version()}, "
         f"{datetime.now(UTC):%Y-%m-%d}.",
         "",
         "## Floors",
