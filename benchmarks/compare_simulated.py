@@ -1,6 +1,6 @@
 """Heuristic, Kalman and optimised merges on fresh simulated pairs: floors of every kind, and the hospital again.
 
-    .venv/bin/python benchmarks/compare_simulated.py [--pairs N] [--hospitals N] [--quick] [--write]
+    .venv/bin/python benchmarks/compare_simulated.py [--pairs N] [--hospitals N] [--first SEED] [--quick] [--write]
 
 Of every kind of floor N pairs, by seeds that nothing was tuned or tested on before; each pair counts as with a loop
 where the ways of both robots together close one. rms are of all recorded landmarks that are true places, in the frame
@@ -56,12 +56,12 @@ def loops(maps: Sequence[LandmarkMap], truth: Truth) -> int:
     return len(ways) - len(names) + int(connected_components(graph, directed=False)[0])
 
 
-def floors(count: int) -> dict[tuple[str, bool], list[Pair]]:
+def floors(first: int, count: int) -> dict[tuple[str, bool], list[Pair]]:
     """Pairs by kind of floor and whether a loop was closed."""
     chosen = methods(METHODS)
     found: dict[tuple[str, bool], list[Pair]] = {}
     for kind in KINDS:
-        for seed in range(FIRST_SEED, FIRST_SEED + count):
+        for seed in range(first, first + count):
             map1, map2, truth = simulated_pair(seed, kind)
             pair = {e.method: e for e in compare_pair(map1, map2, chosen, truth)}
             found.setdefault((kind, loops((map1, map2), truth) > 0), []).append(pair)
@@ -160,19 +160,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=60, help="of each kind of floor")
     parser.add_argument("--hospitals", type=int, default=40)
+    parser.add_argument("--first", type=int, default=FIRST_SEED, metavar="SEED", help="first of the seeds")
     parser.add_argument("--quick", action="store_true", help="three pairs of each kind, two hospitals")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
     logging.disable(logging.WARNING)
     pairs, hospitals = (3, 2) if given.quick else (given.pairs, given.hospitals)
-    of_floors = floor_table(floors(pairs))
+    of_floors = floor_table(floors(given.first, pairs))
     print("\n".join(of_floors), flush=True)
-    laid = [hospital(seed) for seed in range(FIRST_SEED, FIRST_SEED + hospitals)]
+    laid = [hospital(seed) for seed in range(given.first, given.first + hospitals)]
     lines = [
         "# Heuristic against optimised on fresh simulated pairs",
         "",
-        f"{pairs} pairs of each kind of floor and {hospitals} hospitals, seeds from {FIRST_SEED}, on which nothing was "
-        f"tuned. All is simulated. {platform.machine()}, 2 cores, Python {platform.python_version()}, "
+        f"{pairs} pairs of each kind of floor and {hospitals} hospitals, seeds from {given.first}; nothing was "
+        f"tuned on them. All simulated. {platform.machine()}, 2 cores, Python {platform.python_version()}, "
         f"{datetime.now(UTC):%Y-%m-%d}.",
         "",
         "## Floors",
