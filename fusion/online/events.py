@@ -269,7 +269,7 @@ def _moved(before: FusedMap | None, after: FusedMap, t: float) -> list[Event]:
             if old.get(first) is None or old.get(name) is None or old[first] != old[name] or new[first] != new[name]:
                 continue
             was, now = _relative(before, first, name), _relative(after, first, name)
-            if same_placement(was, now, _middle(after, name)):
+            if same_placement(was, now, _middle(after, first, name)):
                 continue
             pair = pairs.get((first, name)) or pairs[name, first]
             events.append(
@@ -287,12 +287,15 @@ def _moved(before: FusedMap | None, after: FusedMap, t: float) -> list[Event]:
     return events
 
 
-def _middle(fused: FusedMap, name: str) -> tuple[float, float]:
-    """The middle of a map's landmarks [m] in its own frame: where a placement is looked at."""
+def _middle(fused: FusedMap, first: str, name: str) -> tuple[float, float]:
+    """The middle [m] of a map's landmarks that ``first`` has too, or of all, in its own frame: where a placement is
+    looked at."""
     source = fused.sources.get(name)
     if source is None or not len(source):
         return 0.0, 0.0
-    x, y = source.positions.mean(axis=0).tolist()
+    common = [i for l in fused.landmarks if l.sources.get(first) for i in l.sources.get(name, ())]
+    places = [source.index_from_id[i] for i in common] or list(range(len(source)))
+    x, y = source.positions[places].mean(axis=0).tolist()
     return x, y
 
 

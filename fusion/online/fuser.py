@@ -182,6 +182,11 @@ class OnlineFuser:
         return self._fused
 
     @property
+    def answer(self) -> FusedMap | None:
+        """As `fused`, without provenance; None before the first weighing."""
+        return self._fused
+
+    @property
     def fused_at(self) -> float:
         """Time [s] of the newest message that `fused` rests on; minus infinity before the first."""
         return self._fused_at

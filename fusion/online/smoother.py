@@ -161,8 +161,8 @@ class Smoother:
                     self._put((name, what, identifier), ())
                 parted = held.ties.pop(identifier, set())
                 apart = apart or len(parted) > 0 or identifier in held.part
-                for tied in held.ties.values():
-                    tied.discard(identifier)
+                for others_of in held.ties.values():
+                    others_of.discard(identifier)
                 continue
             terms = terms_of(neighbourhood(segment, identifier, others), identifier, held.number, held.joined)
             self._put((name, "heading", identifier), terms.heading)
