@@ -17,6 +17,8 @@ from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
 
 from .messages import Correction, LandmarkSeen, Message, Placed
 
+#: Landmarks that a robot knows its place by: the nearest ones.
+MOST_NEAR = 12
 #: Least standard deviation [rad] of north that a map claims.
 LEAST_NORTH = 0.02
 
@@ -54,29 +56,28 @@ class Feed:
         return Correction(robot=self.name, sequence=self._next(), t=self.t, map=self.map())
 
     def placed(self) -> Placed:
-        """Where the robot is by now, and how that goes together with where its landmarks are."""
-        pose, covariance = self.mapper.pose, self.mapper.pose_covariance
+        """Where the robot is by now, and how that goes together with where the landmarks near it are."""
         x, P = self.mapper.filter.x, self.mapper.filter.P
-        order, columns = [], []
-        for landmark in self.mapper.landmarks.values():
-            order.append(landmark)
-            columns += [landmark.at, landmark.at + 1]
-        reckoned = self.mapper.reckoned()[2]
+        pose = self.mapper.pose
+        near = sorted(
+            self.mapper.landmarks.values(),
+            key=lambda l: (float(np.hypot(x[l.at] - pose[0], x[l.at + 1] - pose[1])), l.key),
+        )[:MOST_NEAR]
+        columns = [column for l in near for column in (l.at, l.at + 1)]
+        u, v, _ = self.mapper.reckoned()[2]
         c, s = np.cos(x[2]), np.sin(x[2])
         F = np.eye(3)
-        F[0, 2] = -s * reckoned[0] - c * reckoned[1]
-        F[1, 2] = c * reckoned[0] - s * reckoned[1]
-        cross = F @ P[np.ix_([0, 1, 2], columns)] if columns else np.zeros((3, 0))
-        wrapped = pose.copy()
-        wrapped[2] = float(np.remainder(pose[2] + np.pi, 2 * np.pi) - np.pi)
+        F[0, 2], F[1, 2] = -s * u - c * v, c * u - s * v
+        cross = F @ P[np.ix_([0, 1, 2], columns)]
+        joint = np.block([[self.mapper.pose_covariance, cross], [cross.T, P[np.ix_(columns, columns)]]])
         return Placed(
             robot=self.name,
             sequence=self._next(),
             t=self.t,
-            pose=wrapped,
-            covariance=covariance,
-            order=tuple(landmark_id(landmark) for landmark in order),
-            cross=cross,
+            pose=np.array([pose[0], pose[1], float(np.remainder(pose[2] + np.pi, 2 * np.pi) - np.pi)]),
+            covariance=(joint + joint.T) / 2,
+            order=tuple(landmark_id(l) for l in near),
+            positions=x[columns].reshape(-1, 2),
         )
 
     def noise(self) -> Noise:

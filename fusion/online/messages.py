@@ -70,24 +70,26 @@ class Correction(_Said):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placed(_Said):
-    """Where the robot is: ``pose`` (3,) x, y [m], theta [rad] in its map's frame, ``covariance`` (3, 3) in its axes.
+    """Where the robot is: ``pose`` (3,) x, y [m], theta [rad] in its map's frame, ``covariance`` in its axes.
 
-    ``order``, ``cross`` (3, 2n): covariance of the pose with x, y of these landmarks, where it is known.
+    ``order``: landmarks that it knows its place by, at ``positions`` (n, 2) [m] as it has them at that moment;
+    ``covariance`` (3 + 2n, 3 + 2n) is that of the pose and of these together, in that order. None need be given.
     """
 
     pose: Array
     covariance: Array
     order: tuple[str, ...] = ()
-    cross: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    positions: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         super(Placed, self).__post_init__()
-        for name in ("pose", "covariance", "cross"):
+        for name in ("pose", "covariance", "positions"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
-        shapes = (self.pose.shape, self.covariance.shape, self.cross.shape)
-        if shapes != ((3,), (3, 3), (3, 2 * len(self.order))):
-            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: a pose needs (3,), (3, 3) and (3, 2n)")
-        if not (np.isfinite(self.pose).all() and np.isfinite(self.covariance).all() and np.isfinite(self.cross).all()):
+        n = len(self.order)
+        if (self.pose.shape, self.covariance.shape) != ((3,), (3 + 2 * n, 3 + 2 * n)) or len(self.positions) != n:
+            reason = "a pose needs (3,), n landmarks (n, 2), and a covariance (3 + 2n, 3 + 2n)"
+            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: {reason}")
+        if not all(np.isfinite(values).all() for values in (self.pose, self.covariance, self.positions)):
             raise MapfuseError(f"message {self.sequence} of {self.robot!r}: its pose is not finite")
 
 

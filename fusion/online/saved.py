@@ -177,7 +177,7 @@ def _segment(segment: Segment) -> _Segment:
             "pose": placed.pose.tolist(),
             "covariance": placed.covariance.tolist(),
             "order": list(placed.order),
-            "cross": placed.cross.tolist(),
+            "positions": placed.positions.tolist(),
         },
         asdict(segment.counters),
         sorted(segment.changed),
@@ -204,7 +204,7 @@ def _as_segment(saved: _Segment) -> Segment:
             pose=np.array(p["pose"]),
             covariance=np.array(p["covariance"]),
             order=tuple(p["order"]),
-            cross=np.array(p["cross"]).reshape(3, -1),
+            positions=np.array(p["positions"]).reshape(-1, 2),
         )
     segment.counters = Counters(**saved.counters)
     segment.changed = set(saved.changed)

@@ -264,14 +264,9 @@ class Smoother:
         for match in wanted:
             a, b = match
             one, two = self._segment(a.map), self._segment(b.map)
-            la, lb = one.landmark(a.id), two.landmark(b.id)
-            if la is None or lb is None:
-                continue
             rotation = float(self._turn(b.map) - self._turn(a.map))
-            map_a = LandmarkMap(one.name, (stripped(la),), noise=one.noise)
-            map_b = LandmarkMap(two.name, (stripped(lb),), noise=two.noise)
             tag = self._matches.setdefault(match, ("match", a.map, a.id, b.map, b.id))
-            self._put(tag, (correspondence(map_a, a, map_b, b, rotation, None, wanted[match]),))
+            self._put(tag, (correspondence(one.map(), a, two.map(), b, rotation, None, wanted[match]),))
         if met or elsewhere:
             self._rebuild()
         else:
