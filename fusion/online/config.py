@@ -18,8 +18,8 @@ class OnlineConfig:
     ``doubt``: a merge is beyond it where it is wrong with a smaller probability.
     ``patience`` [landmarks]: however little the rivals of a pair stand out, it is weighed after so many changes.
     ``least_votes``: a pair is worth weighing where so many landmarks agree on one placement.
-    ``confirmations``: weighings in a row that must call a pair merged before it is.
-    ``delay`` [s]: with a worker process, what was asked at a time counts from so much later.
+    ``delay`` [s]: with a worker process, what was asked at a time counts from so much later, and is waited for;
+    None: from whenever it is there, so that nothing ever waits, and two runs may differ.
     """
 
     fuse: FuseConfig = field(default_factory=FuseConfig)
@@ -29,8 +29,7 @@ class OnlineConfig:
     doubt: float = 1e-4
     patience: int = 8
     least_votes: int = 3
-    confirmations: int = 1
-    delay: float = 2.0
+    delay: float | None = 2.0
 
     def __post_init__(self) -> None:
         bounds = {
@@ -40,10 +39,11 @@ class OnlineConfig:
             "doubt": (0, 0.5),
             "patience": (1, 10_000),
             "least_votes": (1, 1000),
-            "confirmations": (1, 100),
             "delay": (0, 1e6),
         }
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
+            if name == "delay" and value is None:
+                continue
             if not low <= value <= high:
                 raise ConfigError(f"online.{name} is {value!r}; it must lie between {low!r} and {high!r}")

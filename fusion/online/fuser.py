@@ -124,7 +124,7 @@ class OnlineFuser:
             if not (force or self.due):
                 return False
             return self._weigh_here()
-        answered = self._worker.busy and (force or self.time >= self._worker.asked_at + self.config.delay)
+        answered = self._worker.busy and (force or self._is_time(self._worker))
         if answered:
             asked_at, fused = self._worker.answer()
             self._adopt(fused, asked_at)
@@ -138,6 +138,12 @@ class OnlineFuser:
             self._worker.ask(self._changed(), self.time)
             self._settle()
         return answered
+
+    def _is_time(self, worker: Worker) -> bool:
+        """Whether to take up what the worker was asked."""
+        if self.config.delay is None:
+            return worker.ready
+        return self.time >= worker.asked_at + self.config.delay
 
     def _changed(self) -> dict[str, LandmarkMap]:
         """Maps that are not what they were at the last weighing, by name."""

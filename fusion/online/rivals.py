@@ -36,6 +36,8 @@ MOVED_M, TURNED = 0.5, 0.1
 NEIGHBOURS, NEAR_M, EQUAL_M = 6, 15.0, 0.3
 #: Placements that are kept in sight per pair of maps.
 IN_SIGHT = 64
+#: Cells to either side of the origin.
+_HALF = 1 << 20
 _AROUND = tuple(product((-1, 0, 1), repeat=3))
 #: Turns that lay a kind onto itself.
 _SYMMETRY = {Kind.CROSSING: 4, Kind.CORRIDOR: 2}
@@ -57,7 +59,9 @@ class _Side:
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     types: list[str] = field(default_factory=list)
     symmetry: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    numbers: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     size: int = 0
+    next_number: int = 0
     of_type: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
 
     def put(self, landmark: Landmark) -> bool:
@@ -76,14 +80,26 @@ class _Side:
         if self.size == len(self.poses):
             self.poses = np.vstack([self.poses, np.full((max(16, self.size), 3), np.nan)])
             self.symmetry = np.append(self.symmetry, np.ones(max(16, self.size), dtype=np.intp))
+            self.numbers = np.append(self.numbers, np.zeros(max(16, self.size), dtype=np.int64))
         k = self.size
         self.size += 1
         self.ids.append(landmark.id)
         self.types.append(landmark.type)
         self.place[landmark.id] = k
-        self.poses[k], self.symmetry[k] = pose, symmetry
+        self.poses[k], self.symmetry[k], self.numbers[k] = pose, symmetry, self.next_number
+        self.next_number += 1
         self.of_type[landmark.type].append(k)
         return True
+
+    def number(self, name: str) -> int | None:
+        """Under which number a landmark has voted; None: it hasn't."""
+        k = self.place.get(name)
+        return None if k is None else int(self.numbers[k])
+
+    def alike(self, mine: NDArray[np.intp], theirs: _Side, others: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which landmarks here are of the type of which there, (n, m)."""
+        here = np.array([self.types[k] for k in mine.tolist()])
+        return np.asarray(here[:, None] == np.array([theirs.types[k] for k in others.tolist()]))
 
     def drop(self, name: str) -> None:
         """Forget a landmark."""
@@ -96,7 +112,7 @@ class _Side:
         kept = sorted(self.place.values())
         names = [self.ids[k] for k in kept]
         self.types = [self.types[k] for k in kept]
-        self.poses, self.symmetry = self.poses[kept], self.symmetry[kept]
+        self.poses, self.symmetry, self.numbers = self.poses[kept], self.symmetry[kept], self.numbers[kept]
         self.ids, self.size = names, len(kept)
         self.place = {name: k for k, name in enumerate(names)}
         self.of_type = defaultdict(list)
@@ -114,68 +130,77 @@ class _Side:
 
 
 class _Table:
-    """Votes of one pair of maps: cells by (landmark of 1, landmark of 2), and how many each cell has."""
+    """Votes of one pair of maps: rows of (landmark of 1, landmark of 2, cell), and how many each cell has."""
 
     def __init__(self) -> None:
-        self.cast: dict[tuple[str, str], tuple[Cell, ...]] = {}
-        self.by1: dict[str, set[str]] = defaultdict(set)
-        self.by2: dict[str, set[str]] = defaultdict(set)
-        self.counts: dict[Cell, int] = defaultdict(int)
-        self.strong: set[Cell] = set()
+        self.rows = np.zeros((256, 3), dtype=np.int64)
+        self.size = self.dead = 0
+        self.counts: dict[int, int] = defaultdict(int)
+        self.strong: set[int] = set()
         self.bound = 2
 
-    def vote(self, a: str, b: str, cells: tuple[Cell, ...]) -> None:
-        self.cast[a, b] = cells
-        self.by1[a].add(b)
-        self.by2[b].add(a)
-        for cell in cells:
+    def vote(self, a: NDArray[np.int64], b: NDArray[np.int64], cells: NDArray[np.int64]) -> None:
+        """Votes by pairs of landmarks, by their numbers."""
+        end = self.size + len(cells)
+        if end > len(self.rows):
+            self.rows = np.concatenate([self.rows, np.zeros((max(len(self.rows), len(cells)), 3), dtype=np.int64)])
+        self.rows[self.size : end, 0], self.rows[self.size : end, 1], self.rows[self.size : end, 2] = a, b, cells
+        self.size = end
+        for cell in cells.tolist():
             self.counts[cell] += 1
             if self.counts[cell] >= self.bound:
                 self.strong.add(cell)
-        if len(self.strong) > 8 * IN_SIGHT:
-            self._narrow()
-
-    def _narrow(self) -> None:
-        """Keep in sight what has most votes, by count alone."""
         while len(self.strong) > 8 * IN_SIGHT:
             self.bound += 1
             self.strong = {cell for cell in self.strong if self.counts[cell] >= self.bound}
 
-    def forget1(self, a: str) -> None:
-        for b in self.by1.pop(a, set()):
-            self._take_back(a, b)
-            self.by2[b].discard(a)
-
-    def forget2(self, b: str) -> None:
-        for a in self.by2.pop(b, set()):
-            self._take_back(a, b)
-            self.by1[a].discard(b)
-
-    def _take_back(self, a: str, b: str) -> None:
-        for cell in self.cast.pop((a, b)):
+    def forget(self, side: int, number: int) -> None:
+        """Take back all votes that a landmark of map 1 (``side`` 0) or 2 has part in."""
+        gone = np.flatnonzero(self.rows[: self.size, side] == number)
+        for cell in self.rows[gone, 2].tolist():
             self.counts[cell] -= 1
             if self.counts[cell] < self.bound:
                 self.strong.discard(cell)
             if not self.counts[cell]:
                 del self.counts[cell]
+        self.rows[gone] = -1
+        self.dead += len(gone)
+        if 2 * self.dead > self.size:
+            kept = self.rows[: self.size][self.rows[: self.size, 0] >= 0]
+            self.rows[: len(kept)] = kept
+            self.size, self.dead = len(kept), 0
 
-    def around(self, cell: Cell) -> int:
+    def around(self, cell: int) -> int:
         """Votes of a cell and those it touches."""
-        x, y, turn = cell
-        return sum(self.counts.get((x + i, y + j, (turn + k) % TURNS), 0) for i, j, k in _AROUND)
+        x, y, turn = _unpacked(cell)
+        return sum(self.counts.get(_packed(x + i, y + j, (turn + k) % TURNS), 0) for i, j, k in _AROUND)
 
     def best(self) -> list[tuple[int, Cell]]:
         """Cells in sight with the votes around them, best first, one of each that touch."""
-        ranked = sorted(
-            ((self.around(cell), self.counts[cell], cell) for cell in self.strong), key=lambda r: (-r[0], -r[1], r[2])
-        )
+        ranked = sorted(((self.around(c), self.counts[c], c) for c in self.strong), key=lambda r: (-r[0], -r[1], r[2]))
         kept: list[tuple[int, Cell]] = []
-        for votes, _, cell in ranked[: 4 * IN_SIGHT]:
+        for votes, _, packed in ranked[: 4 * IN_SIGHT]:
+            cell = _unpacked(packed)
             if not any(_touch(cell, other) for _, other in kept):
                 kept.append((votes, cell))
             if len(kept) == IN_SIGHT:
                 break
         return kept
+
+    def most(self) -> int:
+        """Votes of the cell that has most, and those around it."""
+        fullest = sorted(self.strong, key=lambda c: (-self.counts[c], c))[:8]
+        return max((self.around(c) for c in fullest), default=0)
+
+
+def _packed(x: int, y: int, turn: int) -> int:
+    return ((x + _HALF) * 2 * _HALF + y + _HALF) * TURNS + turn
+
+
+def _unpacked(cell: int) -> Cell:
+    rest, turn = divmod(cell, TURNS)
+    x, y = divmod(rest, 2 * _HALF)
+    return x - _HALF, y - _HALF, turn
 
 
 def _touch(a: Cell, b: Cell) -> bool:
@@ -198,12 +223,14 @@ class Rivals:
         anew: list[str] = []
         for identifier in ids:
             landmark = segment.landmark(identifier)
+            before = side.number(identifier)
             if landmark is None:
-                if identifier in side.place:
+                if before is not None:
                     side.drop(identifier)
-                    self._forget(name, identifier)
+                    self._forget(name, before)
             elif side.put(landmark):
-                self._forget(name, identifier)
+                if before is not None:
+                    self._forget(name, before)
                 anew.append(identifier)
         for other in sorted(self._sides):
             if other != name:
@@ -211,9 +238,10 @@ class Rivals:
                     self._vote(name, identifier, other)
 
     def votes(self, map1: str, map2: str) -> int:
-        """How many pairs of landmarks vote for the best placement."""
-        found = self.best(map1, map2)
-        return found[0].votes if found else 0
+        """About how many pairs of landmarks vote for the best placement."""
+        one, two = sorted((map1, map2))
+        table = self._tables.get((one, two))
+        return 0 if table is None else table.most()
 
     def best(self, map1: str, map2: str) -> tuple[Rival, ...]:
         """Placements of map 2 on map 1 in sight, best first."""
@@ -228,74 +256,78 @@ class Rivals:
             found.append(Rival((float(T[0]), float(T[1]), float(T[2])), votes))
         return tuple(found)
 
-    def _forget(self, name: str, identifier: str) -> None:
+    def _forget(self, name: str, number: int) -> None:
         for (one, two), table in self._tables.items():
-            if one == name:
-                table.forget1(identifier)
-            elif two == name:
-                table.forget2(identifier)
+            if name in (one, two):
+                table.forget(0 if one == name else 1, number)
 
     def _vote(self, name: str, identifier: str, other: str) -> None:
         mine, theirs = self._sides[name], self._sides[other]
         k = mine.place[identifier]
         first = name < other
+        partners, Ts = (_by_distance if np.isnan(mine.poses[k, 2]) else _by_heading)(mine, k, theirs)
+        if not len(partners):
+            return
+        numbers, own = theirs.numbers[partners], np.full(len(partners), mine.numbers[k])
+        cells = _cells(Ts if first else np.asarray(se2.inverse(Ts)))
         table = self._tables[(name, other) if first else (other, name)]
-        proposals = self._by_heading(mine, k, theirs) if not np.isnan(mine.poses[k, 2]) else {}
-        for partner, T in self._by_distance(mine, k, theirs).items() if not proposals else ():
-            proposals[partner] = T
-        for partner, T in proposals.items():
-            T12 = T if first else np.asarray(se2.inverse(T))
-            cells = tuple(dict.fromkeys(_cells(T12)))
-            pair = (identifier, theirs.ids[partner]) if first else (theirs.ids[partner], identifier)
-            if pair not in table.cast:
-                table.vote(*pair, cells)
-
-    @staticmethod
-    def _by_heading(mine: _Side, k: int, theirs: _Side) -> dict[int, Array]:
-        """Of each landmark of the same type the T that lays it on the k-th of mine, (m, 3)."""
-        same = np.array(theirs.of_type.get(mine.types[k], ()), dtype=np.intp)
-        same = same[~np.isnan(theirs.poses[same, 2])]
-        if not len(same):
-            return {}
-        pose = mine.poses[k]
-        found: dict[int, list[tuple[float, float, float]]] = {}
-        ways = np.maximum(theirs.symmetry[same], mine.symmetry[k])
-        there = theirs.poses[same]
-        for way in range(int(ways.max())):
-            theta = se2.wrap(pose[2] - there[:, 2] + way * 2 * pi / ways)
-            c, s = np.cos(theta), np.sin(theta)
-            x = pose[0] - c * there[:, 0] + s * there[:, 1]
-            y = pose[1] - s * there[:, 0] - c * there[:, 1]
-            for n, partner in enumerate(same.tolist()):
-                if way < ways[n]:
-                    found.setdefault(partner, []).append((x[n], y[n], theta[n]))
-        return {partner: np.array(Ts) for partner, Ts in found.items()}
-
-    @staticmethod
-    def _by_distance(mine: _Side, k: int, theirs: _Side) -> dict[int, Array]:
-        """The same from pairs of near landmarks that are as far apart there as here."""
-        found: dict[int, list[Array]] = {}
-        near = mine.neighbours(k)
-        for partner in theirs.of_type.get(mine.types[k], ()):
-            for there in theirs.neighbours(partner).tolist():
-                for here in near.tolist():
-                    if theirs.types[there] != mine.types[here]:
-                        continue
-                    d1, d2 = (
-                        mine.poses[here, :2] - mine.poses[k, :2],
-                        theirs.poses[there, :2] - theirs.poses[partner, :2],
-                    )
-                    r1, r2 = float(np.hypot(*d1)), float(np.hypot(*d2))
-                    if abs(r1 - r2) > EQUAL_M or min(r1, r2) < EQUAL_M:
-                        continue
-                    theta = float(se2.wrap(np.arctan2(d1[1], d1[0]) - np.arctan2(d2[1], d2[0])))
-                    at = mine.poses[k, :2] - se2.rotation(theta) @ theirs.poses[partner, :2]
-                    found.setdefault(partner, []).append(np.array([*at, theta]))
-        return {partner: np.array(Ts) for partner, Ts in found.items()}
+        # a pair votes once for each cell
+        votes = np.unique(np.column_stack([own, numbers, cells] if first else [numbers, own, cells]), axis=0)
+        table.vote(votes[:, 0], votes[:, 1], votes[:, 2])
 
 
-def _cells(Ts: Array) -> list[Cell]:
+Proposals: TypeAlias = tuple[NDArray[np.intp], Array]
+_NOTHING: Proposals = (np.zeros(0, dtype=np.intp), np.zeros((0, 3)))
+
+
+def _by_heading(mine: _Side, k: int, theirs: _Side) -> Proposals:
+    """Landmarks of the same type, and the T (m, 3) that lay them on the k-th of mine."""
+    same = np.array(theirs.of_type.get(mine.types[k], ()), dtype=np.intp)
+    same = same[~np.isnan(theirs.poses[same, 2])]
+    if not len(same):
+        return _NOTHING
+    pose = mine.poses[k]
+    ways = np.maximum(theirs.symmetry[same], mine.symmetry[k])
+    nth = np.arange(ways.sum()) - np.repeat(np.cumsum(ways) - ways, ways)
+    same, turn = np.repeat(same, ways), nth * 2 * pi / np.repeat(ways, ways)
+    there = theirs.poses[same]
+    theta = pose[2] - there[:, 2] + turn
+    c, s = np.cos(theta), np.sin(theta)
+    x = pose[0] - c * there[:, 0] + s * there[:, 1]
+    y = pose[1] - s * there[:, 0] - c * there[:, 1]
+    return same, np.column_stack([x, y, theta])
+
+
+def _by_distance(mine: _Side, k: int, theirs: _Side) -> Proposals:
+    """The same from pairs of near landmarks that are as far apart there as here."""
+    near = mine.neighbours(k)
+    there = theirs.of_type.get(mine.types[k], [])
+    if not len(near) or not there:
+        return _NOTHING
+    d1 = mine.poses[near, :2] - mine.poses[k, :2]
+    r1 = np.hypot(*d1.T)
+    partners, Ts = [_NOTHING[0]], [_NOTHING[1]]
+    for partner in there:
+        far = theirs.neighbours(partner)
+        if not len(far):
+            continue
+        d2 = theirs.poses[far, :2] - theirs.poses[partner, :2]
+        r2 = np.hypot(*d2.T)
+        equal = (np.abs(r1[:, None] - r2) < EQUAL_M) & (np.minimum(r1[:, None], r2) > EQUAL_M)
+        here, also = np.nonzero(equal & mine.alike(near, theirs, far))
+        if not len(here):
+            continue
+        theta = np.arctan2(d1[here, 1], d1[here, 0]) - np.arctan2(d2[also, 1], d2[also, 0])
+        at = mine.poses[k, :2] - np.einsum("kij,j->ki", se2.rotation(theta), theirs.poses[partner, :2])
+        Ts.append(np.column_stack([at, theta]))
+        partners.append(np.full(len(here), partner, dtype=np.intp))
+    return np.concatenate(partners), np.concatenate(Ts)
+
+
+def _cells(Ts: Array) -> NDArray[np.int64]:
     """The cell of each T12 (m, 3)."""
-    x, y = np.floor(Ts[:, 0] / CELL_M).astype(int), np.floor(Ts[:, 1] / CELL_M).astype(int)
-    turn = np.floor(np.mod(Ts[:, 2], 2 * pi) * TURNS / (2 * pi)).astype(int) % TURNS
-    return list(zip(x.tolist(), y.tolist(), turn.tolist(), strict=True))
+    x, y = np.floor(Ts[:, 0] / CELL_M).astype(np.int64), np.floor(Ts[:, 1] / CELL_M).astype(np.int64)
+    turn = np.floor(np.mod(Ts[:, 2], 2 * pi) * TURNS / (2 * pi)).astype(np.int64) % TURNS
+    # placements beyond all bounds share the outermost cells
+    x, y = np.clip(x, 2 - _HALF, _HALF - 2), np.clip(y, 2 - _HALF, _HALF - 2)
+    return np.asarray(((x + _HALF) * 2 * _HALF + y + _HALF) * TURNS + turn)

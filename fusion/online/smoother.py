@@ -42,6 +42,8 @@ log = logging.getLogger(__name__)
 MOST_JOINT = 150
 #: iSAM2 linearises anew what moved by more than this [m, rad].
 RELINEARISE = 0.05
+#: It looks for such every so many messages; after what moves much at once.
+SKIP = 10
 #: Updates after what moves much, at most, until nothing moves.
 SETTLING = 8
 _PINNED = 1.0
@@ -80,6 +82,7 @@ class Smoother:
         self._gone: list[int] = []
         self._isam = _isam()
         self._start: dict[Hashable, Array] = {}
+        self._frames: dict[int, Array] = {}
 
     # GTSAM's keys, as `mapfuse.factors` asks for them
 
@@ -103,7 +106,7 @@ class Smoother:
             held = self._held[segment.name] = _Held(segment, len(self._held))
             self._groups.append((segment.name,))
             T = FrameKey(held.number)
-            self._start[T] = np.zeros(3)
+            self._start[T] = self._frames[held.number] = np.zeros(3)
             self._put((segment.name, "frame"), (Gauge.held(held.number, np.zeros(3)),))
         anew = held.corrected != segment.corrected
         if anew:
@@ -131,7 +134,7 @@ class Smoother:
 
     def _begin(self, held: _Held, ids: Iterable[str]) -> None:
         """Starting values of landmarks that are new here."""
-        T = self._pose(FrameKey(held.number))
+        T = self._frames[held.number]
         for name in ids:
             key = LandmarkKey(held.number, name)
             landmark = held.segment.landmark(name)
@@ -380,8 +383,11 @@ class Smoother:
         self._new, self._gone, self._start = {}, [], {}
         if settle:
             for _ in range(SETTLING):
-                if not self._isam.update().getVariablesRelinearized():
+                again = self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], None, None, None, True)
+                if not again.getVariablesRelinearized():
                     break
+            # asking for one pose costs as much as all of the last update's rest
+            self._frames = {held.number: self._pose(FrameKey(held.number)) for held in self._held.values()}
 
     # What comes out
 
@@ -452,7 +458,7 @@ class Smoother:
 def _isam() -> Any:
     params = gtsam.ISAM2Params()
     params.setRelinearizeThreshold(RELINEARISE)
-    params.relinearizeSkip = 1
+    params.relinearizeSkip = SKIP
     params.findUnusedFactorSlots = True
     return gtsam.ISAM2(params)
 

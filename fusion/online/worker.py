@@ -36,6 +36,11 @@ class Worker:
         self._here.send(dict(changed))
         self.busy, self.asked_at = True, at
 
+    @property
+    def ready(self) -> bool:
+        """Whether the answer is there."""
+        return self._here.poll()
+
     def answer(self) -> tuple[float, FusedMap]:
         """The time that was asked at, and the answer. Raises what the weighing raised."""
         try:
