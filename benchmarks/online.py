@@ -332,10 +332,12 @@ def symmetric(seed: int, _: argparse.Namespace) -> Row:
     early = fuser.fused().decision == "merged" or any(isinstance(e, Merged) for e in fuser.events())
     before = fuser.fused().pairs[0]
     needed: int | None = None
+    course: list[float] = []
     for k, (a, b) in enumerate(zip(late1, late2, strict=True)):
         tell("A", a)
         tell("B", b)
         fuser.advance(force=True)
+        course.append(fuser.fused().pairs[0].probability)
         if needed is None and fuser.fused().decision == "merged":
             needed = k + 1
     fused = fuser.fused()
@@ -347,6 +349,7 @@ def symmetric(seed: int, _: argparse.Namespace) -> Row:
         "early": early,
         "rivals": [h.probability for h in before.hypotheses[:3]],
         "needed": needed,
+        "course": course,
         "wrong": wrong,
         "probability": fused.probability,
     }
@@ -362,7 +365,10 @@ def symmetric_maps(
     places = [(x, kind) for x, kind in zip(at, kinds, strict=True)]
     flipped = {"door+": "door-", "door-": "door+", "junction+": "junction-", "end": "end2"}
     places += [(-x, flipped[kind]) for x, kind in reversed(places)]
+    # as a robot tells them that goes to and fro from the middle: of each two that look alike one after the other
+    places.sort(key=lambda place: (abs(place[0]), place[0]))
     late = [(13.5, "door+"), (20.5, "door-"), (27.0, "door+"), (33.0, "junction+")]
+    late += [(7.5, "door-"), (1.5, "door+"), (15.5, "door-"), (23.0, "junction-")]
     frames = [np.array([*rng.uniform(-20, 20, 2), rng.uniform(-np.pi, np.pi)]) for _ in range(2)]
     told: list[tuple[list[Landmark], list[Landmark]]] = []
     for frame in frames:
@@ -420,7 +426,7 @@ def symmetric_table(rows: Sequence[Row]) -> Iterator[str]:
     yield f"| merged while both ends look alike | never | {sum(row['early'] for row in rows)} of {n} |"
     yield f"| merged once one end is seen to differ | within a few landmarks | {len(needed)} of {n} |"
     if needed:
-        yield f"| landmarks it took, median and most of 4 | | {np.median(needed):.0f}, {max(needed)} |"
+        yield f"| landmarks it took, median and most of 8 | | {np.median(needed):.0f}, {max(needed)} |"
     yield f"| merged the wrong way round | none | {sum(row['wrong'] for row in rows)} |"
 
 

@@ -17,7 +17,7 @@ from .config import OnlineConfig
 from .due import Due
 from .events import Event, happened
 from .judge import Judge
-from .messages import Message
+from .messages import Message, check_message
 from .place import Place, placed_in
 from .rivals import Rival, Rivals
 from .segment import Counters, Segment
@@ -87,7 +87,12 @@ class OnlineFuser:
             self._segment(name, 0)
 
     def take(self, message: Message) -> None:
-        """Take a message in: the map it is of, its rivals' votes, and the smoother follow; nothing is weighed."""
+        """Take a message in: the map it is of, its rivals' votes, and the smoother follow; nothing is weighed.
+
+        Raises `MapError` for a landmark, link or map that breaks a rule of ``mapfuse.map/1``, and `TooLargeError` for a
+        map of more landmarks than can be weighed; nothing of that message is then taken in.
+        """
+        check_message(message)
         segment = self._segment(message.robot, message.frame)
         touched = segment.take(message)
         self.time = max(self.time, message.t)

@@ -14,9 +14,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets.errors import MapfuseError
+from mapfuse.datasets.errors import MapError, MapfuseError, Problem
+from mapfuse.datasets.mapfile import validate
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.values import frozen_array
+
+from ..groups import strays
 
 Array = NDArray[np.float64]
 
@@ -94,3 +97,27 @@ class Placed(_Said):
 
 
 Message: TypeAlias = LandmarkSeen | LandmarkLink | Removed | Correction | Placed
+
+
+def check_message(message: Message) -> None:
+    """Raise `MapError` where what a message says breaks a rule of ``mapfuse.map/1``.
+
+    A link may lead to a landmark that isn't there yet.
+    """
+    if isinstance(message, Correction):
+        problems = validate(message.map) or strays(message.map)
+    elif isinstance(message, LandmarkSeen):
+        problems = _alone(message.landmark)
+    elif isinstance(message, LandmarkLink):
+        problems = _alone(Landmark(message.id, "door", 0.0, 0.0, links=(message.link,)))
+    else:
+        return
+    if problems:
+        raise MapError(message.robot, problems)
+
+
+def _alone(landmark: Landmark) -> tuple[Problem, ...]:
+    """What is wrong with a landmark, where its links lead left aside."""
+    targets = {link.connected_to_id for link in landmark.links} - {None, landmark.id}
+    there = (Landmark(str(target), "door", 0.0, 0.0) for target in sorted(map(str, targets)))
+    return validate(LandmarkMap("map", (landmark, *there)))

@@ -65,6 +65,7 @@ class _Held:
     members: dict[str, set[str]] = field(default_factory=dict)
     anchored: dict[str, str] = field(default_factory=dict)
     joined: frozenset[str] = frozenset()
+    turned: frozenset[str] = frozenset()
     corrected: int = -1
 
 
@@ -83,6 +84,8 @@ class Smoother:
         self._isam = _isam()
         self._start: dict[Hashable, Array] = {}
         self._frames: dict[int, Array] = {}
+        self._known: dict[Hashable, Array] = {}
+        self._failed = False
 
     # GTSAM's keys, as `mapfuse.factors` asks for them
 
@@ -129,7 +132,9 @@ class Smoother:
             self._put((held.segment.name, "joint"), () if measured is None else (measured,))
             self._begin(held, joint.order)
         differ = tuple(sorted(joined ^ held.joined))
-        held.joined = joined
+        turned = joined if joint is not None and joint.rows == 3 else frozenset()
+        differ = tuple(sorted({*differ, *(turned ^ held.turned)}))
+        held.joined, held.turned = joined, turned
         return differ
 
     def _begin(self, held: _Held, ids: Iterable[str]) -> None:
@@ -167,7 +172,8 @@ class Smoother:
                 for others_of in held.ties.values():
                     others_of.discard(identifier)
                 continue
-            terms = terms_of(neighbourhood(segment, identifier, others), identifier, held.number, held.joined)
+            near = neighbourhood(segment, identifier, others)
+            terms = terms_of(near, identifier, held.number, held.joined, held.turned)
             self._put((name, "heading", identifier), terms.heading)
             self._put((name, "compass", identifier), terms.compass)
             self._compass(held, terms.compass)
@@ -374,20 +380,42 @@ class Smoother:
         for unknown in used:
             key = self.key(unknown)
             if not self._isam.valueExists(key):
+                self._start.setdefault(unknown, self._known.get(unknown, np.zeros(3)))
                 x, y, theta = self._start[unknown].tolist()
                 values.insert(key, gtsam.Pose2(x, y, theta))
-        result = self._isam.update(graph, values, self._gone)
+        try:
+            result = self._isam.update(graph, values, self._gone)
+        except RuntimeError as error:
+            self._again(error)
+            return
         for tag, index in zip(tags, result.getNewFactorsIndices(), strict=True):
             self._indices.setdefault(tag, []).append(int(index))
         self._terms.update({tag: terms for tag, terms in self._new.items() if terms})
+        self._known.update(self._start)
         self._new, self._gone, self._start = {}, [], {}
         if settle:
             for _ in range(SETTLING):
                 again = self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], None, None, None, True)
                 if not again.getVariablesRelinearized():
                     break
-            # asking for one pose costs as much as all of the last update's rest
-            self._frames = {held.number: self._pose(FrameKey(held.number)) for held in self._held.values()}
+            self._known = self._poses()
+            # a pose asked for by itself costs as much as all of them
+            self._frames |= {u.map: pose for u, pose in self._known.items() if isinstance(u, FrameKey)}
+
+    def _again(self, error: RuntimeError) -> None:
+        """The tree is of no use after an error: all in a new one; where that fails too, with the next message."""
+        poses = {u: p for u, p in self._known.items() if u not in self._start}
+        self._start = {**poses, **self._start}
+        self._new = {**self._terms, **self._new}
+        self._isam, self._indices, self._terms, self._gone = _isam(), {}, {}, []
+        if self._failed:
+            log.warning("the smoother waits for more measurements: %s", str(error).strip().splitlines()[0])
+            return
+        self._failed = True
+        try:
+            self._update(settle=True)
+        finally:
+            self._failed = False
 
     # What comes out
 

@@ -40,11 +40,16 @@ def neighbourhood(segment: Segment, name: str, others: Iterable[str]) -> Landmar
     return LandmarkMap(segment.name, (own, *back), noise=segment.noise, path=path)
 
 
-def terms_of(near: LandmarkMap, name: str, r: int, joined: frozenset[str]) -> Terms:
-    """What the landmark ``name`` measures in its `neighbourhood`, as map ``r``; of ``joined`` landmarks a joint
-    covariance says all but what their compasses do."""
+def terms_of(
+    near: LandmarkMap, name: str, r: int, joined: frozenset[str] = frozenset(), turned: frozenset[str] = frozenset()
+) -> Terms:
+    """What the landmark ``name`` measures in its `neighbourhood`, as map ``r``.
+
+    Of ``joined`` landmarks a joint covariance says where they lie to each other, of ``turned`` ones how they are
+    turned, too.
+    """
     key = LandmarkKey(r, name)
-    heading = () if name in joined else tuple(m for m in heading_measurements(near, r) if m.b == key)
+    heading = tuple(m for m in heading_measurements(near, r, turned) if m.b == key)
     compass = tuple(m for m in compass_readings(near, r) if m.b == key)
     links: dict[str, list[LinkMeasurement | RangeMeasurement]] = {}
     for m in link_measurements(near, r):
