@@ -140,7 +140,9 @@ def _config(values: dict[str, Any]) -> OnlineConfig:
 
 def _alone(segment: Segment, landmark: Landmark) -> dict[str, Any]:
     """A landmark as a map file has it, its links to others included."""
-    record: dict[str, Any] = map_to_dict(LandmarkMap(segment.name, (landmark,), noise=segment.noise))["landmarks"][0]
+    targets = {link.connected_to_id for link in landmark.links} - {None, landmark.id}
+    strangers = tuple(Landmark(str(target), "door", 0.0, 0.0) for target in sorted(map(str, targets)))
+    record: dict[str, Any] = map_to_dict(LandmarkMap(segment.name, (landmark, *strangers)))["landmarks"][0]
     return record
 
 
