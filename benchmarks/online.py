@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import time
 from collections import Counter
@@ -442,7 +443,7 @@ def latency(seed: int, arguments: argparse.Namespace) -> Row:
     fuser = OnlineFuser(OnlineConfig(delay=None), worker=True)
     for m in (pair.map1, pair.map2):
         fuser.add_robot(m.name, m.noise)
-    taken, advanced, sizes, answers = [], [], [], []
+    taken, advanced, taken_cpu, advanced_cpu, sizes, answers = [], [], [], [], [], []
     numbers = {"A": 0, "B": 0}
     t = 0.0
     for k in range(max(len(o) for o in order)):
@@ -452,13 +453,15 @@ def latency(seed: int, arguments: argparse.Namespace) -> Row:
             t += 0.1
             message = LandmarkSeen(robot=m.name, sequence=numbers[m.name], t=t, landmark=m.landmarks[row[k]])
             numbers[m.name] += 1
-            begin = time.perf_counter()
+            begin, cpu = time.perf_counter(), time.thread_time()
             fuser.take(message)
-            middle = time.perf_counter()
+            middle, cpu_middle = time.perf_counter(), time.thread_time()
             answered = fuser.advance()
-            end = time.perf_counter()
+            end, cpu_end = time.perf_counter(), time.thread_time()
             taken.append(middle - begin)
             advanced.append(end - begin)
+            taken_cpu.append(cpu_middle - cpu)
+            advanced_cpu.append(cpu_end - cpu)
             sizes.append(k + 1)
             if answered:
                 answers.append((k + 1, fuser.fused_at, t, fuser.fused().decision))
@@ -472,8 +475,11 @@ def latency(seed: int, arguments: argparse.Namespace) -> Row:
         "size": size,
         "take": _quantiles(taken),
         "event": _quantiles(advanced),
+        "take_cpu": _quantiles(taken_cpu),
+        "event_cpu": _quantiles(advanced_cpu),
+        "load": os.getloadavg()[0],
         "by_size": [
-            [low, *_quantiles([x for x, n in zip(advanced, sizes, strict=True) if low < n <= low + size // 5])]
+            [low, *_quantiles([x for x, n in zip(advanced_cpu, sizes, strict=True) if low < n <= low + size // 5])]
             for low in range(0, size, size // 5)
         ],
         "answers": len(answers),
@@ -519,7 +525,12 @@ def latency_table(rows: Sequence[Row]) -> Iterator[str]:
         yield "| | median [ms] | 99 % [ms] | largest [ms] |"
         yield "|---|---|---|---|"
         yield "| asked | 5 | 50 | |"
-        for name, said in (("event", "taken in and advanced"), ("take", "taken in alone")):
+        for name, said in (
+            ("event", "taken in and advanced, by the clock"),
+            ("take", "taken in alone, by the clock"),
+            ("event_cpu", "taken in and advanced, processor time"),
+            ("take_cpu", "taken in alone, processor time"),
+        ):
             yield f"| {said} | " + " | ".join(f"{value:.2f}" for value in row[name]) + " |"
         for low, *values in row["by_size"]:
             yield (
@@ -530,7 +541,7 @@ def latency_table(rows: Sequence[Row]) -> Iterator[str]:
         yield ""
         yield (
             f"{row['answers']} answers meanwhile, the last weighing took {row['last_weighing']:.1f} s: "
-            f"{row['decision'].replace('_', ' ')}."
+            f"{row['decision'].replace('_', ' ')}. The machine's two processors had a load of {row['load']:.1f}."
         )
 
 
