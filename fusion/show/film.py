@@ -118,7 +118,7 @@ def draw_shot(figure: Figure, shot: Shot, *, simulated: bool = False) -> None:
     figure.clear()
     told = " (simulated)" if simulated else ""
     figure.text(0.012, 0.965, f"{_clock(shot.t)}{told}", fontsize=13, weight="bold", color=INK, va="center")
-    figure.text(0.14, 0.965, _headline(shot), fontsize=11, color=INK, va="center", parse_math=False)
+    figure.text(0.2, 0.965, _headline(shot), fontsize=11, color=INK, va="center", parse_math=False)
     names = list(shot.maps)[:MOST_MAPS]
     rows = max(1, (len(names) + 1) // 2) if len(names) > 2 else len(names)
     columns = 1 if len(names) <= 2 else 2
@@ -133,8 +133,8 @@ def draw_shot(figure: Figure, shot: Shot, *, simulated: bool = False) -> None:
         count = len(shot.maps[name])
         title = f"{shortened(name, 28)}: {count} landmark{'' if count == 1 else 's'}"
         _panel(figure, box, scene, title, [] if robot is None else [(robot, number[name])])
-    _bars(figure, (0.53, 0.06, 0.13, 0.8), _telling(shot.fused))
-    _merged(figure, (0.69, 0.05, 0.3, 0.85), shot, number)
+    _bars(figure, (0.39, 0.06, 0.16, 0.8), _telling(shot.fused))
+    _merged(figure, (0.585, 0.05, 0.405, 0.85), shot, number)
 
 
 def _clock(t: float) -> str:
@@ -205,7 +205,7 @@ def _bars(figure: Figure, box: tuple[float, float, float, float], pair: PairResu
     axes.set_ylim(-0.6, MOST_BARS + 0.6)
     axes.set_yticks([])
     axes.set_xlabel("probability", fontsize=7, color=GREY, labelpad=1)
-    title = "rivals" if pair is None else f"{shortened(pair.maps[1], 14)} on {shortened(pair.maps[0], 14)}"
+    title = "rivals" if pair is None else f"{shortened(pair.maps[1], 16)} on\n{shortened(pair.maps[0], 16)}"
     axes.set_title(title, fontsize=8, loc="left", color=INK, pad=3, parse_math=False)
     if pair is None:
         return
