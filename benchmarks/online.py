@@ -243,8 +243,8 @@ def hospital_table(rows: Sequence[Row]) -> Iterator[str]:
     times = sorted(row["merged"] / row["end"] for row in rows if row["merged"] is not None)
     if times:
         yield ""
-        yield f"First merge at {100 * np.median(times):.0f} % of the run (median); 90 % of them by "
-        yield f"{100 * np.quantile(times, 0.9):.0f} %."
+        half, most = (100 * np.quantile(times, q) for q in (0.5, 0.9))
+        yield f"First merge at {half:.0f} % of the run (median); 90 % of them by {most:.0f} %."
 
 
 def _before_loops(row: Row) -> bool:
