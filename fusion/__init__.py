@@ -14,14 +14,25 @@ if TYPE_CHECKING:
     from .fusedfile import read_fused, write_fused
     from .groups import fuse
     from .known import KnownTransform, as_reference
+    from .online.fuser import OnlineFuser
     from .result import FusedMap
 
-__all__ = ["FuseConfig", "FusedMap", "KnownTransform", "as_reference", "fuse", "read_fused", "write_fused"]
+__all__ = [
+    "FuseConfig",
+    "FusedMap",
+    "KnownTransform",
+    "OnlineFuser",
+    "as_reference",
+    "fuse",
+    "read_fused",
+    "write_fused",
+]
 
 _MODULE_FROM_NAME = {
     "FuseConfig": "config",
     "FusedMap": "result",
     "KnownTransform": "known",
+    "OnlineFuser": "online.fuser",
     "as_reference": "known",
     "fuse": "groups",
     "read_fused": "fusedfile",

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from . import batch, compare, config, convert, demo, formats, fuse, map, show, simulate
+from . import batch, compare, config, convert, demo, formats, fuse, map, replay, show, simulate
 from .console import UsageError, complain, say, tolerate_any_text
 
 _EPILOG = (
@@ -29,6 +29,7 @@ app.command(name="fuse", no_args_is_help=True)(fuse.fuse_files)
 app.command(name="batch", no_args_is_help=True)(batch.batch)
 app.command(name="compare", no_args_is_help=True)(compare.compare)
 app.command(name="map", no_args_is_help=True)(map.map_file)
+app.command(name="replay", no_args_is_help=True)(replay.replay)
 app.command(name="simulate")(simulate.simulate)
 app.command(name="demo")(demo.demo)
 app.command(name="show", no_args_is_help=True)(show.show)

@@ -1,0 +1,248 @@
+"""``mapfuse replay``: logs replayed together on their own clocks, their maps merged while they grow."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .console import Quiet, UsageError, check_outputs, say, warn_on_stderr, writing
+from .progress import progress
+
+if TYPE_CHECKING:
+    from mapfuse.datasets.logs import Log
+    from mapfuse.fusion.online.events import Event
+    from mapfuse.fusion.online.place import Place
+    from mapfuse.fusion.online.replay import Replay
+    from mapfuse.fusion.show.film import Film, Shot
+
+#: A film of a replay without --speed lasts about so long [s].
+FILM_SECONDS = 15.0
+#: Frames per second of a film or a window.
+FRAMES = 8
+
+
+def replay(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Logs (NAME.log.jsonl, .gz too), two or more; or one MRCLAM folder, whose robots all drive.",
+            metavar="LOG...",
+        ),
+    ],
+    *,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The fused map at the end, OUT.fused.json.")
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option("--speed", metavar="X", help="X times as fast as it was recorded. [default: as fast as possible]"),
+    ] = None,
+    events: Annotated[
+        Path | None, typer.Option("--events", metavar="FILE", help="What happened, as lines of JSON.")
+    ] = None,
+    snapshots: Annotated[
+        Path | None,
+        typer.Option("--snapshots", metavar="DIR", help="A result file each time when a merge was made or taken back."),
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option("--video", metavar="OUT", help="A film: .gif, or .mp4 where ffmpeg is.")
+    ] = None,
+    window: Annotated[bool, typer.Option("--window", help="The film in a window while it goes on.")] = False,
+    no_ids: Annotated[bool, typer.Option("--no-ids", help="Don't use the names that detections carry.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Refuse a log with anything wrong in it.")] = False,
+    save_state: Annotated[
+        Path | None, typer.Option("--save-state", metavar="STATE", help="Keep the fuser's state at the end.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Replay robots' logs together and merge their maps while they map."""
+    if speed is not None and not 0 < speed <= 1e6:
+        raise UsageError(f"--speed: {speed} must be above 0 and at most 1,000,000")
+    outputs = {"-o": output, "--events": events, "--video": video, "--save-state": save_state}
+    check_outputs(outputs, [path for path in logs if not path.is_dir()])
+    if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
+        raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
+    warn_on_stderr()
+    recorded = _logs(logs, strict=strict, no_ids=no_ids)
+    if len(recorded) < 2:
+        raise UsageError("replay needs the logs of at least two robots")
+    if video is not None:
+        from mapfuse.fusion.show.film import check_film
+
+        check_film(video)
+
+    from mapfuse.fusion.online.replay import Replay
+
+    run = Replay(recorded)
+    simulated = all(bool(log.header.extra.get("simulated")) for log in recorded)
+    happened = _run(run, speed, snapshots, video, window=window, simulated=simulated, quiet=quiet)
+    fused = run.fuser.fused()
+    if not quiet:
+        from .summary import summarise
+
+        say(summarise(fused))
+        for name, place in sorted(run.fuser.places().items()):
+            say(f"{name} is at {_where(place)}")
+    if events is not None:
+        from mapfuse.fusion.online.events import write_events
+
+        write_events(happened, [log.header.name for log in recorded], events)
+    if output is not None:
+        from mapfuse.fusion import write_fused
+
+        write_fused(fused, output)
+    if save_state is not None:
+        run.fuser.save(save_state)
+    if not quiet:
+        for path in (output, events, video, save_state, snapshots):
+            if path is not None:
+                say(f"wrote {path}")
+
+
+def _logs(paths: Iterable[Path], *, strict: bool, no_ids: bool) -> list[Log]:
+    from mapfuse.datasets.logfile import read_log
+    from mapfuse.datasets.logs import Log
+    from mapfuse.fusion.online.replay import Nameless
+
+    found: list[Log] = []
+    for path in paths:
+        if path.is_dir():
+            from mapfuse.datasets.mrclam import ROBOTS, read_mrclam_log
+
+            found += [read_mrclam_log(path, robot) for robot in ROBOTS]
+        else:
+            found.append(read_log(path, strict=strict))
+    return [Log(log.header, Nameless(log.events)) for log in found] if no_ids else found
+
+
+def _run(
+    run: Replay,
+    speed: float | None,
+    snapshots: Path | None,
+    video: Path | None,
+    *,
+    window: bool,
+    simulated: bool,
+    quiet: bool,
+) -> list[Event]:
+    """The replay itself: what happened, told, filmed and kept as it goes on."""
+    happened: list[Event] = []
+    drawn = video is not None or window
+    with ExitStack() as stack:
+        advance = stack.enter_context(progress("replaying")) if not quiet else (lambda _: None)
+        film: Film | None = None
+        if video is not None:
+            from mapfuse.fusion.show.film import Film
+
+            film = stack.enter_context(Film(video, simulated=simulated))
+        show = _window(simulated) if window else None
+        every = None
+        if drawn or speed is not None:
+            every = (speed / FRAMES) if speed is not None else _length(run) / (FILM_SECONDS * FRAMES)
+        begun = time.monotonic()
+        for moment in run.run(every=every):
+            advance(1)
+            fresh = list(run.fuser.events())
+            happened += fresh
+            if not quiet:
+                for event in fresh:
+                    if event.kind != "proposed":
+                        say(f"{moment.t:8.1f} s  {told(event)}")
+            if snapshots is not None and any(e.kind in ("merged", "revised", "un-merged") for e in fresh):
+                _snapshot(run, snapshots, moment.t)
+            if drawn and (not moment.weighed or fresh):
+                shot = shot_of(run, moment.t)
+                if film is not None:
+                    film.add(shot)
+                if show is not None:
+                    show(shot)
+            if speed is not None:
+                ahead = moment.t / speed - (time.monotonic() - begun)
+                if ahead > 0:
+                    time.sleep(ahead)
+    if snapshots is not None:
+        _snapshot(run, snapshots, run.t)
+    return happened
+
+
+def _where(place: Place) -> str:
+    import numpy as np
+
+    sigma_x, sigma_y, _ = np.sqrt(np.diag(np.asarray(place.pose.covariance)))
+    return (
+        f"x {place.pose.x:.2f} ± {sigma_x:.2f} m, y {place.pose.y:.2f} ± {sigma_y:.2f} m, "
+        f"{np.degrees(place.pose.theta):.1f}°, in the frame of {place.frame_of}"
+    )
+
+
+def _length(run: Replay) -> float:
+    """How long the logs are [s], which reads them once."""
+    last = 0.0
+    for log, offset in zip(run.logs, run.offsets, strict=True):
+        for event in log.events:
+            last = max(last, event.t + offset)
+    return max(last, 1.0)
+
+
+def _snapshot(run: Replay, folder: Path, t: float) -> None:
+    """The answer by now as a result file, named by its time in seconds."""
+    from mapfuse.fusion import write_fused
+
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    write_fused(run.fuser.fused(), folder / f"{t:09.1f}.fused.json")
+
+
+def told(event: Event) -> str:
+    """An event in a line."""
+    from mapfuse.fusion.online import Refuted, Unmerged
+
+    if isinstance(event, Refuted):
+        return f"{event.landmark} of {event.map} is doubtful: {event.reason}"
+    if isinstance(event, Unmerged):
+        return f"un-merged {' and '.join(event.maps)}: {event.reason}"
+    verb = {"merged": "merged", "revised": "revised"}.get(event.kind, "proposed")
+    return f"{verb} {' and '.join(event.maps)}, {event.count} common landmarks, probability {event.probability:.4f}"
+
+
+def shot_of(run: Replay, t: float) -> Shot:
+    """What a frame of the film shows."""
+    from mapfuse.fusion.show.film import Shot
+
+    fuser = run.fuser
+    maps = {name: s.map() for name, s in fuser.segments.items()}
+    fused = fuser.answer
+    robots = {name: feed.mapper.pose for name, feed in run.feeds.items() if name in maps}
+    shared = {}
+    if fused is not None:
+        from mapfuse.datasets import se2
+
+        shared = {
+            name: se2.compose(fused.frames[name].T.array, pose) for name, pose in robots.items() if name in fused.frames
+        }
+    return Shot(t, maps, fused, robots, shared)
+
+
+def _window(simulated: bool) -> Callable[[Shot], None]:
+    """A function that shows a shot in a window."""
+    import matplotlib as mpl
+    from matplotlib import pyplot as plt
+
+    if mpl.get_backend().lower() in ("agg", "pdf", "svg", "ps", "template"):
+        raise UsageError("--window: there is no display here that a window could open on; --video makes a film")
+    from mapfuse.fusion.show.film import HEIGHT, WIDTH, draw_shot
+
+    figure = plt.figure(figsize=(WIDTH, HEIGHT))
+    plt.show(block=False)
+
+    def show(shot: Shot) -> None:
+        draw_shot(figure, shot, simulated=simulated)
+        figure.canvas.draw_idle()
+        plt.pause(0.001)
+
+    return show

@@ -1,0 +1,158 @@
+"""A robot's log to what it says of its map: the mapper at work, and messages of what it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from mapfuse.datasets.arms import wrap
+from mapfuse.datasets.logs import Event, LogHeader
+from mapfuse.datasets.mapper import Mapper
+from mapfuse.datasets.mapper.changes import LandmarkAdded
+from mapfuse.datasets.mapper.config import MapperConfig
+from mapfuse.datasets.mapper.joining import landmark_id
+from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
+
+from .messages import Correction, LandmarkSeen, Message, Placed
+
+#: Landmarks that a robot knows its place by: the nearest ones.
+MOST_NEAR = 12
+#: Least standard deviation [rad] of north that a map claims.
+LEAST_NORTH = 0.02
+
+
+class Feed:
+    """One robot: events of its log in, messages out.
+
+    A new landmark is told at once, as the filter has it; the whole map with its joint covariance, which takes the
+    mapper longer, when it is asked for (`correction`).
+    """
+
+    def __init__(self, header: LogHeader, config: MapperConfig | None = None, *, name: str | None = None) -> None:
+        self.mapper = Mapper(header, config)
+        self.name = name or header.name
+        self.sequence = 0
+        self.t = 0.0
+        self.stale = False
+
+    def update(self, event: Event) -> Iterator[Message]:
+        """Take an event in; what there is to say of it."""
+        changes = self.mapper.update(event)
+        self.t = max(self.t, event.t)
+        if not changes:
+            return
+        self.stale = True
+        for change in changes:
+            if isinstance(change, LandmarkAdded) and change.id:
+                landmark = self._landmark(change.id)
+                if landmark is not None:
+                    yield LandmarkSeen(robot=self.name, sequence=self._next(), t=self.t, landmark=landmark)
+
+    def correction(self) -> Correction:
+        """The whole map by now."""
+        self.stale = False
+        return Correction(robot=self.name, sequence=self._next(), t=self.t, map=self.map())
+
+    def placed(self) -> Placed:
+        """Where the robot is by now, and how that goes together with where the landmarks near it are."""
+        x, P = self.mapper.filter.x, self.mapper.filter.P
+        pose = self.mapper.pose
+        near = sorted(
+            self.mapper.landmarks.values(),
+            key=lambda l: (float(np.hypot(x[l.at] - pose[0], x[l.at + 1] - pose[1])), l.key),
+        )[:MOST_NEAR]
+        columns = [column for l in near for column in (l.at, l.at + 1)]
+        u, v, _ = self.mapper.reckoned()[2]
+        c, s = np.cos(x[2]), np.sin(x[2])
+        F = np.eye(3)
+        F[0, 2], F[1, 2] = -s * u - c * v, c * u - s * v
+        cross = F @ P[np.ix_([0, 1, 2], columns)]
+        joint = np.block([[self.mapper.pose_covariance, cross], [cross.T, P[np.ix_(columns, columns)]]])
+        return Placed(
+            robot=self.name,
+            sequence=self._next(),
+            t=self.t,
+            pose=np.array([pose[0], pose[1], float(np.remainder(pose[2] + np.pi, 2 * np.pi) - np.pi)]),
+            covariance=(joint + joint.T) / 2,
+            order=tuple(landmark_id(l) for l in near),
+            positions=x[columns].reshape(-1, 2),
+        )
+
+    def noise(self) -> Noise:
+        """What the robot is known to be, before there is a map."""
+        s = self.mapper.sensors
+        return Noise(
+            compass_offset_sigma=s.compass_offset_sigma,
+            detection_rate=s.detection_rate,
+            false_alarm_rate=s.false_alarm_rate,
+            door_detection_rate=s.door_detection_rate,
+            door_false_alarm_rate=s.door_false_alarm_rate,
+        )
+
+    def map(self) -> LandmarkMap:
+        """The map by now, its compass told once (`with_north`)."""
+        made = self.mapper.map(joint=True).replace(name=self.name)
+        north = self.mapper.north
+        return made if north is None else with_north(made, *north)
+
+    def _next(self) -> int:
+        self.sequence += 1
+        return self.sequence - 1
+
+    def _landmark(self, identifier: str) -> Landmark | None:
+        """A landmark as the filter has it."""
+        x, P = self.mapper.filter.x, self.mapper.filter.P
+        known = next((l for l in reversed(list(self.mapper.landmarks.values())) if landmark_id(l) == identifier), None)
+        if known is None:
+            return None
+        at = [known.at, known.at + 1]
+        links: tuple[Link, ...] = ()
+        if known.turn is not None:
+            turn = float(x[known.turn])
+            shown = sorted(known.arms, key=lambda arm: -arm.count)[:4]
+            links = tuple(
+                Link(arm.type, float(np.remainder(turn + arm.off + np.pi, 2 * np.pi) - np.pi)) for arm in shown
+            )
+        covariance = P[np.ix_(at, at)]
+        return Landmark(
+            identifier,
+            known.type,
+            float(x[at[0]]),
+            float(x[at[1]]),
+            links=links,
+            covariance=(covariance + covariance.T) / 2,
+        )
+
+
+def with_north(recorded: LandmarkMap, north: float, sigma: float) -> LandmarkMap:
+    """A map that says where its compass' north is once, at the arm that was seen most often.
+
+    ``north``, ``sigma`` [rad, map frame]. A map with a joint covariance holds already what the readings say of its
+    own headings, and arms of one place and places near each other share what steel does to the compass: a reading at
+    every arm would count one thing many times. In 16 simulated hospital pairs the NEES of T12 over its degrees of
+    freedom was 2.8 with all readings, and 1.0 without any.
+    """
+    seen = [
+        (landmark.detection_counter, -k, j)
+        for k, landmark in enumerate(recorded.landmarks)
+        for j, link in enumerate(landmark.links)
+        if link.heading is not None and link.compass is not None
+    ]
+    if not seen:
+        return recorded
+    _, minus, which = max(seen, key=lambda item: (item[0], item[1], -item[2]))
+
+    def told(k: int, landmark: Landmark) -> Landmark:
+        links = tuple(
+            replace(link, compass=wrap(link.heading - north) if (k, j) == (-minus, which) else None)
+            if link.heading is not None
+            else link
+            for j, link in enumerate(landmark.links)
+        )
+        return replace(landmark, links=links)
+
+    landmarks = tuple(told(k, landmark) for k, landmark in enumerate(recorded.landmarks))
+    noise = replace(recorded.noise, compass_sigma=max(sigma, LEAST_NORTH))
+    return recorded.replace(landmarks=landmarks, noise=noise)

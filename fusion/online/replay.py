@@ -1,0 +1,139 @@
+"""Logs replayed together on their own clocks: events of all robots in one row, the fuser after each."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TypeVar
+
+import msgspec
+
+from mapfuse.datasets.errors import MapfuseError
+from mapfuse.datasets.logs import Detection, Log, LogHeader
+from mapfuse.datasets.logs import Event as LogEvent
+
+from .feed import Feed
+from .fuser import OnlineFuser
+
+Item = TypeVar("Item")
+
+
+class Nameless(Iterable[LogEvent]):
+    """Events without the names of what was detected, as often as they are asked for."""
+
+    def __init__(self, events: Iterable[LogEvent]) -> None:
+        self.events = events
+
+    def __iter__(self) -> Iterator[LogEvent]:
+        for event in self.events:
+            yield msgspec.structs.replace(event, id=None) if isinstance(event, Detection) else event
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The replay at time ``t`` [s]; ``weighed``: whether the fuser has answered anew just now."""
+
+    t: float
+    weighed: bool
+
+
+class Replay:
+    """Robots' logs, each through its mapper, into one fuser.
+
+    Clocks: where all logs say when they were recorded, the earliest one's is the common clock; else they begin
+    together.
+    """
+
+    def __init__(self, logs: Sequence[Log], fuser: OnlineFuser | None = None) -> None:
+        names = [log.header.name for log in logs]
+        if len(set(names)) < len(names):
+            raise MapfuseError("two logs have one name; names must differ, since results refer to them")
+        self.logs = tuple(logs)
+        self.fuser = fuser or OnlineFuser()
+        self.feeds = {log.header.name: Feed(log.header) for log in logs}
+        for name, feed in self.feeds.items():
+            self.fuser.add_robot(name, feed.noise())
+        self.offsets = offsets([log.header for log in logs])
+        self.t = 0.0
+
+    def run(self, *, every: float | None = None) -> Iterator[Moment]:
+        """All events in the order of their times; a moment each time when the fuser has answered, and ``every`` so
+        many seconds of the log; at the end one more, when everything is weighed."""
+        due = every
+        for t, name, event in self.events():
+            if due is not None and every is not None and t >= due:
+                yield Moment(self.t, False)
+                due = (t // every + 1) * every
+            self.t = t
+            if self.step(name, event, t):
+                yield Moment(t, True)
+        self.finish()
+        yield Moment(self.t, True)
+
+    def events(self) -> Iterator[tuple[float, str, LogEvent]]:
+        """Events of all logs with their times on the common clock."""
+
+        def of(log: Log, offset: float) -> Iterator[tuple[float, str, LogEvent]]:
+            name = log.header.name
+            for event in log.events:
+                yield event.t + offset, name, event
+
+        streams = [of(log, offset) for log, offset in zip(self.logs, self.offsets, strict=True)]
+        return merged_by_time(streams)
+
+    def step(self, name: str, event: LogEvent, t: float) -> bool:
+        """One event; whether the fuser has answered anew."""
+        feed = self.feeds[name]
+        said = False
+        for message in feed.update(event):
+            self.fuser.take(_at(message, t))
+            said = True
+        if not said and not self.fuser.waiting:
+            return False
+        if self.fuser.due:
+            self.correct()
+        return self.fuser.advance()
+
+    def correct(self) -> None:
+        """Every robot whose map has changed sends the whole of it, and where it is."""
+        for feed in self.feeds.values():
+            if feed.stale:
+                self.fuser.take(_at(feed.correction(), self.t))
+            if feed.mapper.landmarks:
+                self.fuser.take(_at(feed.placed(), self.t))
+
+    def finish(self) -> None:
+        """Everything said and weighed."""
+        self.correct()
+        self.fuser.advance(force=True)
+
+
+def _at(message: Item, t: float) -> Item:
+    """The message with its time on the common clock."""
+    return replace(message, t=t)  # type: ignore[type-var]
+
+
+def merged_by_time(streams: Iterable[Iterator[tuple[float, str, LogEvent]]]) -> Iterator[tuple[float, str, LogEvent]]:
+    """Streams in one, by time; at equal times the first stream's first."""
+    return heapq.merge(*streams, key=lambda item: item[0])
+
+
+def offsets(headers: Sequence[LogHeader]) -> list[float]:
+    """What to add to each log's times [s]: by ``recorded_at`` where all have it, else nothing."""
+    times = [_recorded(header.recorded_at) for header in headers]
+    known = [t for t in times if t is not None]
+    if len(known) < len(times) or not known:
+        return [0.0] * len(headers)
+    return [t - min(known) for t in known]
+
+
+def _recorded(text: str | None) -> float | None:
+    if text is None:
+        return None
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return found.timestamp() if found.tzinfo is not None else found.replace(tzinfo=UTC).timestamp()

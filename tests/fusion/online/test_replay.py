@@ -1,0 +1,195 @@
+"""Logs replayed together, by the library and on the command line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapfuse.datasets import read_map, recordings
+from mapfuse.datasets.logfile import write_log
+from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
+from mapfuse.fusion import OnlineFuser, fuse, read_fused
+from mapfuse.fusion.online.feed import LEAST_NORTH, with_north
+from mapfuse.fusion.online.replay import Nameless, Replay, offsets
+
+#: Places along a corridor (x, what is there), uneven, so that it looks like itself only in one way.
+PLACES = (
+    (0.0, "door+"), (5.0, "door-"), (8.0, "door+"), (15.0, "junction"), (19.0, "door-"),
+    (26.0, "door+"), (28.5, "door-"), (36.0, "junction"), (41.0, "door+"), (43.0, "door+"),
+)  # fmt: skip
+ARMS = {
+    "door+": ((0, "open"), (180, "open"), (90, "door"), (-90, "blocked")),
+    "door-": ((0, "open"), (180, "open"), (-90, "door"), (90, "blocked")),
+    "junction": ((0, "open"), (180, "open"), (90, "open"), (-90, "blocked")),
+}
+SENSORS = Sensors(
+    odometry_scale_sigma=0.005, odometry_turn_scale_sigma=0.005, odometry_curve_sigma=0.0005, detection_rate=0.95,
+    false_alarm_rate=0.02, odometry_turn_sigma=0.003,
+)  # fmt: skip
+
+
+def drive(name: str, start: float, end: float, **header: object) -> Log:
+    """A robot that drives straight along the corridor from ``start`` to ``end`` [m] at 1 m/s; made, not recorded."""
+    rng = np.random.default_rng(len(name))
+    sign = 1.0 if end > start else -1.0
+    events: list[object] = []
+    for k in range(round(abs(end - start) * 5) + 1):
+        t = k / 5
+        x = start + sign * t
+        events.append(Odometry(t, t, 0.0, 0.0))
+        for at, kind in PLACES:
+            away = (at - x) * sign
+            if abs(away) < 1e-6 or abs(away - 1.0) < 1e-6:
+                turn = 0.0 if sign > 0 else np.pi
+                bearing = 0.0 if away >= 0 else np.pi
+                arms = tuple(
+                    SensedArm(type_, float(np.deg2rad(degrees) - turn + rng.normal(0, 0.03)))
+                    for degrees, type_ in ARMS[kind]
+                )
+                type_ = "junction" if kind == "junction" else "door"
+                events.append(Detection(t, type_, float(abs(away) + abs(rng.normal(0, 0.02))), bearing, arms))
+    return Log(LogHeader(name, name, sensors=SENSORS, **header), tuple(events))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def logs() -> tuple[Log, Log]:
+    return drive("west", -2.0, 42.0), drive("east", 45.0, 6.0)
+
+
+@pytest.fixture(scope="module")
+def replayed(logs: tuple[Log, Log]) -> Replay:
+    replay = Replay(logs)
+    for _ in replay.run():
+        pass
+    return replay
+
+
+def test_two_drives_end_where_the_batch_ends(replayed: Replay):
+    fused = replayed.fuser.fused()
+    batch = fuse([feed.map() for feed in replayed.feeds.values()])
+    assert fused.decision == batch.decision == "merged"
+    T, expected = fused.frames["east"].T, batch.frames["east"].T
+    assert np.abs(T.array - expected.array).max() < 1e-9
+    assert fused.provenance["inputs"] == batch.provenance["inputs"]
+    # west began at -2, east at 45 looking back
+    assert np.hypot(T.x - 47.0, T.y) < 1.0
+    assert abs(abs(T.theta) - np.pi) < 0.1
+
+
+def test_robots_know_where_they_are_in_each_others_map(replayed: Replay):
+    places = replayed.fuser.places()
+    assert {p.frame_of for p in places.values()} == {"west"}
+    for name, true in (("west", 44.0), ("east", 8.0)):
+        place = places[name]
+        sigma = np.sqrt(np.diag(np.asarray(place.pose.covariance)))
+        assert abs(place.pose.x - true) < 4 * sigma[0] + 0.05
+        assert sigma[0] < 1.0
+        assert np.linalg.eigvalsh(place.pose.covariance).min() > 0
+
+
+def test_the_same_logs_give_the_same_events(logs: tuple[Log, Log], tmp_path: Path, command):
+    files = []
+    for log in logs:
+        files.append(tmp_path / f"{log.header.name}.log.jsonl")
+        write_log(log, files[-1])
+    for k in range(2):
+        assert command("replay", *files, "--quiet", "--events", tmp_path / f"events{k}.jsonl") == 0
+    first, second = (tmp_path / f"events{k}.jsonl" for k in range(2))
+    assert first.read_bytes() == second.read_bytes()
+    assert "merged" in [json.loads(line).get("event") for line in first.read_text().splitlines()]
+
+
+def test_replay_writes_all_that_it_is_asked_for(logs: tuple[Log, Log], tmp_path: Path, command, capsys):
+    files = []
+    for log in logs:
+        files.append(tmp_path / f"{log.header.name}.log.jsonl")
+        write_log(log, files[-1])
+    wanted = {
+        "-o": tmp_path / "both.fused.json",
+        "--snapshots": tmp_path / "snapshots",
+        "--video": tmp_path / "film.gif",
+        "--save-state": tmp_path / "state.json",
+    }
+    arguments = [word for pair in wanted.items() for word in pair]
+    # a film at 100 times the speed of the log has a frame every 12.5 s
+    assert command("replay", *files, *arguments, "--speed", "100") == 0
+    told = capsys.readouterr().out
+    assert "merged west and east" in told or "merged east and west" in told
+    assert "in the frame of west" in told
+    fused = read_fused(wanted["-o"])
+    assert fused.decision == "merged"
+    snapshots = sorted(wanted["--snapshots"].iterdir())
+    assert read_fused(snapshots[0]).decision == "merged"
+    assert OnlineFuser.load(wanted["--save-state"]).fused().frames.keys() == {"west", "east"}
+    from PIL import Image
+
+    with Image.open(wanted["--video"]) as film:
+        assert film.n_frames >= 4
+        film.seek(0)
+        first = np.asarray(film.convert("RGB"))
+        film.seek(film.n_frames - 1)
+        last = np.asarray(film.convert("RGB"))
+    assert (first != last).any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["west"], "at least two robots"),
+        (["west", "east", "--speed", "0"], "--speed"),
+        (["west", "east", "--video", "film.avi"], "must end in one of .mp4, .gif"),
+        (["west", "east", "--events", "nowhere/e.jsonl"], "there is no folder"),
+        (["west", "west"], "one name"),
+        (["west", "none"], "none"),
+    ],
+)
+def test_wrong_usage_is_said_in_a_sentence(arguments, said, logs, tmp_path, command, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for log in logs:
+        write_log(log, tmp_path / log.header.name)
+    assert command("replay", *arguments) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is not None, reason="ffmpeg is here")
+def test_an_mp4_without_ffmpeg_says_what_to_do(logs, tmp_path, command, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for log in logs:
+        write_log(log, tmp_path / log.header.name)
+    assert command("replay", "west", "east", "--video", "film.mp4") == 2
+    assert ".mp4 needs the program ffmpeg, which isn't here; .gif needs nothing" in capsys.readouterr().err
+    assert not (tmp_path / "film.mp4").exists()
+
+
+def test_clocks_are_common_where_all_logs_say_when_they_were_recorded():
+    first, second = "2000-07-01T10:00:00Z", "2000-07-01T10:00:30+00:00"
+    assert offsets([LogHeader("a", recorded_at=second), LogHeader("b", recorded_at=first)]) == [30.0, 0.0]
+    assert offsets([LogHeader("a", recorded_at=second), LogHeader("b")]) == [0.0, 0.0]
+    assert offsets([LogHeader("a", recorded_at="yesterday"), LogHeader("b", recorded_at=first)]) == [0.0, 0.0]
+
+
+def test_names_are_dropped_as_often_as_the_log_is_read():
+    events = Nameless((Odometry(0.0, 0.0, 0.0, 0.0), Detection(0.0, "tree", 1.0, 0.0, (), "oak")))
+    for _ in range(2):
+        assert [getattr(e, "id", None) for e in events] == [None, None]
+
+
+def test_north_is_told_once_and_as_it_was():
+    recorded = read_map(recordings.path("ground-floor-vespucci"))
+    told = with_north(recorded, 0.4, 0.03)
+    readings = [(l, k) for l in told.landmarks for k in l.links if k.compass is not None]
+    had = [k for l in recorded.landmarks for k in l.links if k.compass is not None]
+    if not had:
+        assert told == recorded
+        return
+    ((landmark, link),) = readings
+    assert link.compass == pytest.approx(float(np.remainder(link.heading - 0.4 + np.pi, 2 * np.pi) - np.pi))
+    assert landmark.detection_counter == max(
+        l.detection_counter for l in recorded.landmarks if any(k.compass is not None for k in l.links)
+    )
+    assert told.noise.compass_sigma == 0.03
+    assert with_north(recorded, 0.4, 0.0).noise.compass_sigma == LEAST_NORTH

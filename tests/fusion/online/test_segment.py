@@ -1,0 +1,112 @@
+"""A map from messages: the same whatever order they come in, how often, and which of them are late."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapfuse.datasets import Landmark, LandmarkMap, Link, MapfuseError
+from mapfuse.datasets.maps import JointCovariance
+from mapfuse.fusion.online import Correction, LandmarkLink, LandmarkSeen, Placed, Removed
+from mapfuse.fusion.online.segment import Segment
+
+
+def seen(sequence, name, x, **more):
+    return LandmarkSeen(
+        robot="r", sequence=sequence, t=float(sequence), landmark=Landmark(name, "door", x, 0.0, **more)
+    )
+
+
+def random_messages(rng):
+    """Of six landmarks: seen, seen elsewhere, linked, removed; now and then the whole map."""
+    messages = []
+    for k in range(40):
+        name = f"d{rng.integers(6)}"
+        what = rng.integers(10)
+        if what < 5:
+            messages.append(seen(k, name, float(rng.normal())))
+        elif what < 7:
+            link = Link("open", float(rng.uniform(-3, 3)), None, f"d{rng.integers(6)}", float(rng.uniform(1, 5)), 1)
+            messages.append(LandmarkLink(robot="r", sequence=k, t=float(k), id=name, link=link))
+        elif what < 9:
+            messages.append(Removed(robot="r", sequence=k, t=float(k), id=name))
+        else:
+            landmarks = tuple(Landmark(f"d{n}", "door", float(rng.normal()), 1.0) for n in range(4))
+            messages.append(Correction(robot="r", sequence=k, t=float(k), map=LandmarkMap("r", landmarks)))
+    return messages
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_order_and_any_doubles_give_the_same_map(seed):
+    rng = np.random.default_rng(seed)
+    messages = random_messages(rng)
+    straight = Segment("r", 0)
+    for message in messages:
+        straight.take(message)
+    mixed = Segment("r", 0)
+    for k in rng.permutation(np.repeat(np.arange(len(messages)), rng.integers(1, 4, len(messages)))):
+        mixed.take(messages[k])
+    by_id = [{l.id: l for l in s.map().landmarks} for s in (straight, mixed)]
+    assert by_id[0] == by_id[1]
+    assert mixed.counters.messages > len(messages)
+    assert mixed.counters.doubled + mixed.counters.overtaken >= mixed.counters.messages - len(messages)
+
+
+def test_a_link_waits_for_both_of_its_landmarks():
+    segment = Segment("r", 0)
+    segment.take(LandmarkLink(robot="r", sequence=0, t=0.0, id="a", link=Link("open", 0.0, None, "b", 4.0, 1)))
+    assert len(segment.map()) == 0
+    segment.take(seen(1, "b", 4.0))
+    assert segment.map().ids == ("b",)
+    # a landmark that comes later says all of it by then, links included
+    segment.take(seen(2, "a", 0.0))
+    assert segment.map()["a"].links == ()
+    segment.take(LandmarkLink(robot="r", sequence=3, t=0.0, id="a", link=Link("open", 0.0, None, "c", 4.0, 1)))
+    assert segment.map()["a"].links[0].connected_to_id is None, "c isn't there: the arm is known, the way isn't"
+    segment.take(seen(4, "c", 4.0))
+    assert segment.map()["a"].links[0].connected_to_id == "c"
+
+
+def test_a_link_takes_the_place_of_the_arm_that_it_is():
+    segment = Segment("r", 0)
+    segment.take(seen(0, "b", 4.0))
+    segment.take(seen(1, "a", 0.0, links=(Link("open", 0.1), Link("blocked", 1.6))))
+    segment.take(LandmarkLink(robot="r", sequence=2, t=2.0, id="a", link=Link("open", 0.0, None, "b", 4.0, 1)))
+    links = segment.map()["a"].links
+    assert [(l.type, l.connected_to_id) for l in links] == [("open", "b"), ("blocked", None)]
+
+
+def test_what_moved_since_a_correction_is_no_part_of_its_joint_covariance():
+    landmarks = tuple(Landmark(name, "tree", float(k), 0.0) for k, name in enumerate("abc"))
+    joint = JointCovariance(("a", "b", "c"), 2, np.diag([1.0, 1, 2, 2, 3, 3]))
+    segment = Segment("r", 0)
+    segment.take(Correction(robot="r", sequence=0, t=0.0, map=LandmarkMap("r", landmarks, joint_covariance=joint)))
+    assert segment.map().joint_covariance == joint
+    segment.take(LandmarkSeen(robot="r", sequence=1, t=1.0, landmark=Landmark("b", "tree", 1.5, 0.0)))
+    left = segment.map().joint_covariance
+    assert left.order == ("a", "c")
+    assert left.matrix.diagonal().tolist() == [1, 1, 3, 3]
+
+
+def test_only_what_a_landmark_is_counts_as_changed_by_a_correction():
+    segment = Segment("r", 0)
+    segment.take(seen(0, "a", 0.0, links=(Link("open", 0.1),)))
+    segment.changed.clear()
+    moved = Landmark("a", "door", 0.4, 0.2, links=(Link("open", 0.15),))
+    segment.take(Correction(robot="r", sequence=1, t=1.0, map=LandmarkMap("r", (moved,))))
+    assert segment.map()["a"].x == 0.4
+    assert not segment.changed
+    other = Landmark("a", "door", 0.4, 0.2, links=(Link("blocked", 0.15),))
+    segment.take(Correction(robot="r", sequence=2, t=2.0, map=LandmarkMap("r", (other,))))
+    assert segment.changed == {"a"}
+
+
+def test_messages_without_sense_are_refused():
+    with pytest.raises(MapfuseError, match="its time is not finite"):
+        LandmarkSeen(robot="r", sequence=0, t=np.nan, landmark=Landmark("a", "door", 0, 0))
+    with pytest.raises(MapfuseError, match="count from 0"):
+        Removed(robot="r", sequence=-1, t=0.0, id="a")
+    with pytest.raises(MapfuseError, match="n landmarks"):
+        Placed(robot="r", sequence=0, t=0.0, pose=np.zeros(3), covariance=np.eye(3), order=("a",))
+    with pytest.raises(MapfuseError, match="not finite"):
+        Placed(robot="r", sequence=0, t=0.0, pose=np.array([0, 0, np.inf]), covariance=np.eye(3))
