@@ -1,7 +1,8 @@
-"""`mapfuse batch` on recorded maps: Victoria Park's 200 local maps; MRCLAM's 15 with three indoor object maps.
+"""`mapfuse batch` on recordings: Victoria Park's 200 local maps; MRCLAM's 15 with three indoor object maps; Halmstad.
 
     .venv/bin/python benchmarks/batch_folders.py SHARED_DATA RUNS victoria-park [--maps 200] [--jobs 2]
     .venv/bin/python benchmarks/batch_folders.py SHARED_DATA RUNS arenas
+    .venv/bin/python benchmarks/batch_folders.py SHARED_DATA RUNS halmstad
 
 SHARED_DATA is not part of the repository; ids are dropped and frames are each map's own. RUNS keeps folders and
 ledgers, so that a measurement that was stopped goes on. Quick form: ``--maps 20``. What is printed goes into
@@ -14,11 +15,14 @@ import argparse
 import csv
 import json
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
+import compare_real
 import gtsam
 import numpy as np
+from compare_real import Pair
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
@@ -110,12 +114,41 @@ def arenas(data: Path) -> list[LandmarkMap]:
     return maps
 
 
+def halmstad() -> tuple[list[LandmarkMap], list[Pair], FuseConfig]:
+    """The corners of 14 sensor maps of floor E5, the 91 pairs with their truth, and parameters in metres."""
+    pairs = list(compare_real.halmstad())
+    maps = {m.name: m for pair in pairs for m in (pair.map1, pair.map2)}
+    return [maps[name] for name in sorted(maps)], pairs, pairs[0].config
+
+
+def judged_pairs(pairs: Sequence[Pair], run: Path) -> str:
+    """How many pairs the groups lay on each other rightly, wrongly, or not."""
+    placed = _placed(run)
+    right, wrong = 0, []
+    for pair in pairs:
+        names = pair.map1.name, pair.map2.name
+        if not all(name in placed for name in names) or placed[names[0]][0] != placed[names[1]][0]:
+            continue
+        common = [pair.map2.index_from_id[b] for _, b in pair.truth.true_pairs(*names)]
+        at = pair.map2.positions[common]
+        T12 = se2.between(placed[names[0]][1], placed[names[1]][1])
+        off = float(np.hypot(*(se2.transform(T12, at) - pair.truth.T12(*names).apply(at)).T).mean())
+        right += off < pair.limit
+        wrong += [f"{names[0]}-{names[1]} {off:.2f} of {pair.limit:.2f} m"] if off >= pair.limit else []
+    return f"{right} of {len(pairs)} pairs right, wrong: {wrong}, the others in different groups"
+
+
+def _placed(run: Path) -> dict[str, tuple[str, Array]]:
+    """Group and pose of each map that has them."""
+    with (run / "maps.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["group"]]
+    return {row["map"]: (row["group"], np.array([float(row[k]) for k in ("x", "y", "theta")])) for row in rows}
+
+
 def judged(poses: Array, names: list[str], maps: list[LandmarkMap], run: Path) -> str:
     """How many maps are placed, in how many groups, and which disagree with their nearest placed neighbours."""
     place = {name: k for k, name in enumerate(names)}
-    with (run / "maps.csv").open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["group"]]
-    placed = {row["map"]: (row["group"], np.array([float(row[k]) for k in ("x", "y", "theta")])) for row in rows}
+    placed = _placed(run)
     wrong = set()
     for name, (group, T) in placed.items():
         beside = [other for other, (g, _) in placed.items() if g == group and other != name]
@@ -135,13 +168,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("runs", type=Path)
-    parser.add_argument("which", choices=["victoria-park", "arenas"])
+    parser.add_argument("which", choices=["victoria-park", "arenas", "halmstad"])
     parser.add_argument("--maps", type=int, default=200)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
-    poses = None
+    poses, pairs, config = None, [], FuseConfig()
     if args.which == "arenas":
         maps = arenas(args.data)
+    elif args.which == "halmstad":
+        maps, pairs, config = halmstad()
     else:
         maps, poses = victoria_park(args.data, args.maps)
     folder = args.runs / f"{args.which}-{len(maps)}"
@@ -151,10 +186,12 @@ def main() -> None:
     run = args.runs / f"{args.which}-{len(maps)}-run"
     begin = time.perf_counter()
     with closing(LocalEngine(args.jobs)) as engine:
-        summary = run_batch(folder, run, FuseConfig(), engine)
+        summary = run_batch(folder, run, config, engine)
     print(f"{summary}\n{time.perf_counter() - begin:.0f} s with {args.jobs} workers")
     if poses is not None:
         print(judged(poses, [m.name for m in maps], [read_map(folder / f"{m.name}.map.json") for m in maps], run))
+    if pairs:
+        print(judged_pairs(pairs, run))
     for path in sorted((run / "groups").glob("*.json")):
         print(path.name, json.loads(path.read_bytes())["groups"])
 

@@ -48,10 +48,14 @@ class Emptiness:
 
     def against(self, a: str, b: str, T_ab: Array) -> float:
         """Log odds [nats], at most 0, of laying b on a at ``T_ab`` where no candidate of theirs agrees with it."""
-        (middle_a, reach_a), (middle_b, reach_b) = self._reach(a), self._reach(b)
-        if float(np.hypot(*(se2.transform(T_ab, middle_b) - middle_a))) > reach_a + reach_b:
-            return 0.0  # neither robot was near what the other recorded
+        if self.apart(a, b, T_ab):
+            return 0.0
         return min(0.0, sum(emptiness(self.passing(a, b, T_ab), self._background(a, b), self.config)))
+
+    def apart(self, a: str, b: str, T_ab: Array) -> bool:
+        """Whether neither robot was near what the other recorded."""
+        (middle_a, reach_a), (middle_b, reach_b) = self._reach(a), self._reach(b)
+        return float(np.hypot(*(se2.transform(T_ab, middle_b) - middle_a))) > reach_a + reach_b
 
     def _reach(self, name: str) -> tuple[Array, float]:
         """Middle of a map (2,), and how far from it [m] its robot may have seen anything."""
@@ -109,8 +113,10 @@ class Members:
                 way = self.comparisons[pair].candidates[self.choice.chosen[pair]]
                 through1, through2 = way.through1, way.through2
             else:
-                frames = [self.joint.solution.frame(n) for n in (r, s)]
-                way = self.emptiness.passing(*pair, np.asarray(se2.between(*frames)))
+                T_rs = np.asarray(se2.between(*(self.joint.solution.frame(n) for n in (r, s))))
+                if self.emptiness.apart(*pair, T_rs):
+                    continue
+                way = self.emptiness.passing(*pair, T_rs)
                 through1, through2 = way.of_missed
             for k, through in zip(way.missed1, through1, strict=True):
                 found.setdefault((r, int(k)), {})[s] = through
@@ -120,11 +126,12 @@ class Members:
 
     @cached_property
     def _rates(self) -> tuple[Array, ...]:
-        """How common true landmarks like each one are, per map: the mean over the group's pairs."""
+        """How common true landmarks like each one are, per map: the mean over the group's pairs that were compared."""
         rates: list[list[Array]] = [[] for _ in self.names]
         for (r, a), (s, b) in combinations(enumerate(self.names), 2):
-            rates[r].append(self.comparisons[a, b].rates1)
-            rates[s].append(self.comparisons[a, b].rates2)
+            if (a, b) in self.comparisons:
+                rates[r].append(self.comparisons[a, b].rates1)
+                rates[s].append(self.comparisons[a, b].rates2)
         return tuple(np.mean(of_map, axis=0) for of_map in rates)
 
     def existence(self, place: Place) -> float:

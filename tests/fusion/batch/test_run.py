@@ -13,11 +13,12 @@ import pytest
 
 from mapfuse.datasets import read_map, write_map
 from mapfuse.datasets.errors import InputError, MapfuseError, OutputError
-from mapfuse.fusion import fuse, read_fused
+from mapfuse.fusion import FusedMap, fuse, read_fused
 from mapfuse.fusion.batch.engine import KILLED
 from mapfuse.fusion.batch.ledger import LEDGER, Ledger
 from mapfuse.fusion.batch.run import status
 from mapfuse.fusion.batch.table import PAIR_COLUMNS
+from mapfuse.matching.index import MapIndex
 
 pytestmark = pytest.mark.xdist_group("batch")
 
@@ -107,6 +108,9 @@ def compared(compare) -> int:
     return count
 
 
+NOT_COMPARED = ("oak-1", "oak-3")
+
+
 def rows_of(path: Path) -> list[dict[str, str]]:
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
@@ -168,6 +172,31 @@ def test_a_folder_becomes_groups_and_is_only_done_once(folder, tmp_path, compare
     assert sorted(f.name for f in (run / "groups").iterdir()) == ["0001.fused.json", "0001.png"]
     with pytest.raises(MapfuseError, match="no map named 'yew' to leave out"):
         fuse_folder(folder, run, without=["yew"])
+
+
+def _recorded(fused: FusedMap) -> set[tuple[str, str]]:
+    return {(name, i) for landmark in fused.landmarks for name, ids in landmark.sources.items() for i in ids}
+
+
+def test_a_group_may_hold_pairs_that_were_not_compared(folder, tmp_path, fuse_folder, monkeypatch):
+    """The index proposes few of a large folder's pairs: maps are then held together by others."""
+    every = MapIndex.pairs
+    monkeypatch.setattr(MapIndex, "pairs", lambda index: [p for p in every(index) if (p.map1, p.map2) != NOT_COMPARED])
+    summary = fuse_folder(folder, tmp_path / "run")
+    assert (summary.pairs, summary.groups, summary.grouped, summary.failed_groups) == (9, 2, 5, 0)
+    fused = read_fused(tmp_path / "run" / "groups" / "0002.fused.json")
+    assert fused.groups == (("oak-1", "oak-2", "oak-3"),)
+    assert NOT_COMPARED not in {pair.maps for pair in fused.pairs}
+    direct = fuse([read_map(folder / f"oak-{k}.map.json") for k in (1, 2, 3)])
+    for name in direct.frames:
+        np.testing.assert_allclose(fused.frames[name].T.array, direct.frames[name].T.array, atol=0.02)
+    # what only the two have in common nothing identifies
+    assert _recorded(fused) == _recorded(direct)
+    alone = {frozenset(l.sources) for l in fused.landmarks if "oak-2" not in l.sources}
+    assert alone == {frozenset({"oak-1"}), frozenset({"oak-3"})}
+    assert {frozenset({"oak-1", "oak-3"})} == {
+        frozenset(l.sources) for l in direct.landmarks if "oak-2" not in l.sources
+    }
 
 
 def test_deaths_change_no_byte(folder, tmp_path, compare, client, fuse_folder, files_of):
