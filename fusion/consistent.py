@@ -365,7 +365,7 @@ class _Chooser:
 
     def _placements(self, A: _Group, B: _Group, pairs: Sequence[Pair]) -> list[_Placement]:
         """One placement by each candidate, with the candidates of all other pairs that agree and what pairs without
-        one there say against it; the best first, and none that weigh `HOPELESS` less than it."""
+        one there say against it; the best first, and none that don't count: hopeless ones, and all below nothing."""
         ways = [pair if pair[0] in A.index else pair[::-1] for pair in pairs]
         of_pairs = [self._candidates(a, b, len(pairs) == 1) for a, b in ways]
         if not sum(len(c.k) for c in of_pairs):
@@ -394,24 +394,27 @@ class _Chooser:
         found: dict[tuple[tuple[Pair, int], ...], _Placement] = {}
         best = -np.inf
         for row in np.lexsort((rows, -most)).tolist():
-            if most[row] <= best - HOPELESS:
+            if most[row] <= max(best - HOPELESS, self.nothing):
                 break
             with_it = np.flatnonzero(agrees[row]).tolist()
             heaviest = {pairs[of[m]]: int(k[m]) for m in reversed(with_it)}  # of one pair the first is the heaviest
             chosen = tuple(sorted(heaviest.items()))
             if chosen not in found:
-                found[chosen] = self._weighed_placement(A, B, dict(chosen), T_AB[row], pairs, best)
+                least = max(best - HOPELESS, self.nothing)
+                found[chosen] = self._weighed_placement(A, B, dict(chosen), T_AB[row], pairs, least)
                 best = max(best, found[chosen].weight)
-        kept = [placement for placement in found.values() if placement.weight > best - HOPELESS]
+        kept = [placement for placement in found.values() if placement.weight > max(best - HOPELESS, self.nothing)]
         return sorted(kept, key=lambda p: (-p.weight, sorted(p.agreeing.items())))
 
     def _weighed_placement(
-        self, A: _Group, B: _Group, agreeing: Mapping[Pair, int], T_AB: Array, pairs: Sequence[Pair], best: float
+        self, A: _Group, B: _Group, agreeing: Mapping[Pair, int], T_AB: Array, pairs: Sequence[Pair], least: float
     ) -> _Placement:
-        """A placement, what speaks against it weighed only where it is not far below the ``best`` one anyway."""
+        """A placement; that it weighs no more than ``least`` is all that is worked out of one that doesn't."""
         weight = self._weighed(A, B, agreeing)
-        if self.against is not None and len(pairs) > 1 and weight > best - HOPELESS:
-            weight += self._against(A, B, T_AB, [pair for pair in pairs if pair not in agreeing])
+        if self.against is not None and len(pairs) > 1:
+            others = (pair for pair in pairs if pair not in agreeing)
+            while weight > least and (pair := next(others, None)) is not None:
+                weight += self._against(A, B, T_AB, pair)
         return _Placement(agreeing, weight, T_AB)
 
     def _weight(self, pair: Pair, k: int) -> float:
@@ -453,15 +456,12 @@ class _Chooser:
             (A if pair[1] in A.index else B).place_of(second),
         )
 
-    def _against(self, A: _Group, B: _Group, T_AB: Array, pairs: Sequence[Pair]) -> float:
-        """What pairs that have no candidate for a placement say against it [nats]."""
+    def _against(self, A: _Group, B: _Group, T_AB: Array, pair: Pair) -> float:
+        """What a pair that has no candidate for a placement says against it [nats], at most 0."""
         assert self.against is not None
-        total = 0.0
-        for pair in pairs:
-            a, b = pair if pair[0] in A.index else pair[::-1]
-            T_ab = se2.compose(se2.between(A.graph.pose(a), T_AB), B.graph.pose(b))
-            total += self.against(*pair, np.asarray(T_ab if (a, b) == pair else se2.inverse(T_ab)))
-        return total
+        a, b = pair if pair[0] in A.index else pair[::-1]
+        T_ab = np.asarray(se2.compose(se2.between(A.graph.pose(a), T_AB), B.graph.pose(b)))
+        return self.against(*pair, T_ab if (a, b) == pair else np.asarray(se2.inverse(T_ab)))
 
     def _merged(self, A: _Group, B: _Group, placement: _Placement, probability: float) -> _Group:
         edges = tuple(self._edge(*pair, k) for pair, k in placement.agreeing.items())

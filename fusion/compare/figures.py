@@ -179,14 +179,15 @@ def figure_8(building: Building, laid: Mapping[str, OnPlan]) -> Figure:
     ):
         along.axhline(height, color=GREY, linewidth=0.8, linestyle="--")
         along.text(
-            0.5,
+            0.995,
             height,
             said,
             transform=along.get_yaxis_transform(),
-            ha="center",
+            ha="right",
             va="bottom",
             fontsize=7.5,
             color=GREY,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8},
         )
     along.set_ylim(0, max(1.3, *(float(f.wall_off.max(initial=0.0)) * 1.05 for f in laid.values())))
     along.set_xlim(panels[0].get_xlim())
