@@ -39,10 +39,12 @@ MRCLAM_NOISE = Noise(position_sigma=0.15, detection_rate=0.95, false_alarm_rate=
 TREES_NOISE = Noise(position_sigma=0.3, detection_rate=0.8, false_alarm_rate=0.05)
 #: A map is placed wrongly where it disagrees with one of its nearest placed neighbours by more than this [m].
 WRONG_M, NEIGHBOURS = 2.0, 3
+#: Numbers of shared trees that pairs are counted by.
+SHARED = ((0, 0), (1, 3), (4, 5), (6, 7), (8, 9), (10, 12), (13, 99))
 
 
-def victoria_park(data: Path, count: int) -> tuple[list[LandmarkMap], Array]:
-    """The first local maps, ids dropped and shuffled, and their poses (n, 3) solved with the true ids."""
+def victoria_park(data: Path, count: int) -> tuple[list[LandmarkMap], Array, NDArray[np.intp]]:
+    """The first local maps, ids dropped; their poses (n, 3) solved with the true ids; how many trees they share (n, n)."""
     rng = np.random.default_rng(30)
     maps, ids, ends, at = [], [], [], []
     for number in range(1, count + 1):
@@ -58,7 +60,9 @@ def victoria_park(data: Path, count: int) -> tuple[list[LandmarkMap], Array]:
         maps.append(LandmarkMap(f"v{number:03d}", marks, noise=TREES_NOISE, joint_covariance=joint))
         ids.append(tree)
         at.append(xy)
-    return maps, _solved(ids, at, ends)
+    seen = [set(of_map.tolist()) for of_map in ids]
+    shared = np.array([[len(a & b) for b in seen] for a in seen], dtype=np.intp)
+    return maps, _solved(ids, at, ends), shared
 
 
 def _solved(ids: list[Array], at: list[Array], ends: list[Array]) -> Array:
@@ -112,6 +116,24 @@ def arenas(data: Path) -> list[LandmarkMap]:
         marks = tuple(Landmark(f"p{k}", f"class-{int(c)}", x, y) for k, (c, x, y, _) in enumerate(objects.tolist()))
         maps.append(LandmarkMap(path.stem, marks, noise=SLIDESLAM_NOISE))
     return maps
+
+
+def coverage(shared: NDArray[np.intp], names: list[str], run: Path) -> str:
+    """Pairs by the number of trees they share: all, compared, merged by themselves, in one group."""
+    place, group = {name: k for k, name in enumerate(names)}, {name: g for name, (g, _) in _placed(run).items()}
+    compared, merged = np.zeros((2, *shared.shape), dtype=bool)
+    with (run / "pairs.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            pair = tuple(sorted((place[row["map1"]], place[row["map2"]])))
+            compared[pair], merged[pair] = True, row["decision"] == "merged"
+    together = np.array([[a in group and group[a] == group.get(b) for b in names] for a in names])
+    lines = ["| shared trees | pairs | compared | merged | in one group |", "|---|---|---|---|---|"]
+    upper = np.triu(np.ones(shared.shape, dtype=bool), 1)
+    for low, high in SHARED:
+        of_band = upper & (shared >= low) & (shared <= high)
+        counts = (int((of_band & which).sum()) for which in (of_band, compared, merged, together))
+        lines.append(f"| {low} to {high} | {' | '.join(map(str, counts))} |")
+    return "\n".join(lines)
 
 
 def halmstad() -> tuple[list[LandmarkMap], list[Pair], FuseConfig]:
@@ -172,13 +194,13 @@ def main() -> None:
     parser.add_argument("--maps", type=int, default=200)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
-    poses, pairs, config = None, [], FuseConfig()
+    poses, shared, pairs, config = None, None, [], FuseConfig()
     if args.which == "arenas":
         maps = arenas(args.data)
     elif args.which == "halmstad":
         maps, pairs, config = halmstad()
     else:
-        maps, poses = victoria_park(args.data, args.maps)
+        maps, poses, shared = victoria_park(args.data, args.maps)
     folder = args.runs / f"{args.which}-{len(maps)}"
     folder.mkdir(parents=True, exist_ok=True)
     for recorded in maps:
@@ -188,6 +210,8 @@ def main() -> None:
     with closing(LocalEngine(args.jobs)) as engine:
         summary = run_batch(folder, run, config, engine)
     print(f"{summary}\n{time.perf_counter() - begin:.0f} s with {args.jobs} workers")
+    if shared is not None:
+        print(coverage(shared, [m.name for m in maps], run))
     if poses is not None:
         print(judged(poses, [m.name for m in maps], [read_map(folder / f"{m.name}.map.json") for m in maps], run))
     if pairs:
