@@ -44,7 +44,7 @@ SHARED = ((0, 0), (1, 3), (4, 5), (6, 7), (8, 9), (10, 12), (13, 99))
 
 
 def victoria_park(data: Path, count: int) -> tuple[list[LandmarkMap], Array, NDArray[np.intp]]:
-    """The first local maps, ids dropped; their poses (n, 3) solved with the true ids; how many trees they share (n, n)."""
+    """The first local maps, ids dropped; poses (n, 3) solved with the true ids; how many trees they share (n, n)."""
     rng = np.random.default_rng(30)
     maps, ids, ends, at = [], [], [], []
     for number in range(1, count + 1):
