@@ -97,6 +97,10 @@ def run_batch(
         batch.read(without, told or {})
         batch.compare(compare)
         batch.choose()
+        if batch.look_again():
+            batch.compare(compare)
+            batch.choose()
+        batch.note_failures()
         batch.write_groups()
         batch.write_tables()
         summary = _summary(batch)

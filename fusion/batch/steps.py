@@ -40,6 +40,7 @@ from .packing import (
     part_of,
 )
 from .table import MAP_COLUMNS, PAIR_COLUMNS, failed_row, pair_row, write_csv, write_parquet
+from .unpaired import unpaired
 
 GROUPS, PAIRS, MAPS = "groups", "pairs", "maps.csv"
 #: Maps that are prepared at once while groups are chosen.
@@ -126,9 +127,27 @@ class Batch:
         jobs = (Job(p.key, PairJob(self._settings, self._map(p.map1), self._map(p.map2)).to_bytes()) for p in missing)
         for _ in self._work("comparing pairs", task, jobs, len(missing)):
             pass
+
+    def look_again(self) -> bool:
+        """Want the pairs that the index left out and the solved groups ask for; whether there are any."""
+        wanted = self.ledger.wanted()
+        compared = {self._names(pair) for pair in wanted}
+        asked = {
+            pair
+            for group in self.groups
+            if group.error is None and (fused := GroupAnswer.from_bytes(self._answer(group)).fused) is not None
+            for pair in unpaired(fused, compared)
+        }
+        if asked:
+            self.ledger.set_wanted([*wanted, *(self._wanted(*names) for names in sorted(asked))])
+        return bool(asked)
+
+    def note_failures(self) -> None:
+        """Add to ``problems`` the pairs and groups that failed."""
         for pair in self.ledger.wanted():
             if (done := self._done(pair.key)).error is not None:
                 self.problems.append(f"{self._names(pair)[0]} and {self._names(pair)[1]}: {done.error}")
+        self.problems += [f"group of {', '.join(g.names)}: {g.error}" for g in self.groups if g.error is not None]
 
     def _map(self, key: str) -> bytes:
         return self.ledger.map_data(key)
@@ -155,6 +174,7 @@ class Batch:
 
     def choose(self) -> None:
         """Choose what can be true together, part by part, and solve the groups."""
+        self.groups, self._choice_from_name = [], {}
         pair_from_names = {self._names(pair): pair for pair in self.ledger.wanted()}
         together = [names for names, pair in pair_from_names.items() if self._may_overlap(pair)]
         inside: dict[str, list[Pair]] = {}
@@ -168,7 +188,6 @@ class Batch:
             if len(part) > 1:
                 self._choose_part(part, {names: pair_from_names[names] for names in inside[part[0]]}, prepared)
         self.groups.sort(key=lambda group: group.names)
-        self.problems += [f"group of {', '.join(g.names)}: {g.error}" for g in self.groups if g.error is not None]
 
     def _may_overlap(self, pair: Wanted) -> bool:
         result = self._done(pair.key).result

@@ -17,6 +17,7 @@ from mapfuse.fusion import FusedMap, fuse, read_fused
 from mapfuse.fusion.batch.engine import KILLED
 from mapfuse.fusion.batch.ledger import LEDGER, Ledger
 from mapfuse.fusion.batch.run import status
+from mapfuse.fusion.batch.steps import Batch
 from mapfuse.fusion.batch.table import PAIR_COLUMNS
 from mapfuse.matching.index import MapIndex
 
@@ -182,6 +183,7 @@ def test_a_group_may_hold_pairs_that_were_not_compared(folder, tmp_path, fuse_fo
     """The index proposes few of a large folder's pairs: maps are then held together by others."""
     every = MapIndex.pairs
     monkeypatch.setattr(MapIndex, "pairs", lambda index: [p for p in every(index) if (p.map1, p.map2) != NOT_COMPARED])
+    monkeypatch.setattr(Batch, "look_again", lambda _: False)
     summary = fuse_folder(folder, tmp_path / "run")
     assert (summary.pairs, summary.groups, summary.grouped, summary.failed_groups) == (9, 2, 5, 0)
     fused = read_fused(tmp_path / "run" / "groups" / "0002.fused.json")
@@ -192,11 +194,23 @@ def test_a_group_may_hold_pairs_that_were_not_compared(folder, tmp_path, fuse_fo
         np.testing.assert_allclose(fused.frames[name].T.array, direct.frames[name].T.array, atol=0.02)
     # what only the two have in common nothing identifies
     assert _recorded(fused) == _recorded(direct)
-    alone = {frozenset(l.sources) for l in fused.landmarks if "oak-2" not in l.sources}
-    assert alone == {frozenset({"oak-1"}), frozenset({"oak-3"})}
-    assert {frozenset({"oak-1", "oak-3"})} == {
-        frozenset(l.sources) for l in direct.landmarks if "oak-2" not in l.sources
-    }
+    without2 = [{frozenset(l.sources) for l in f.landmarks if "oak-2" not in l.sources} for f in (fused, direct)]
+    assert without2 == [{frozenset({"oak-1"}), frozenset({"oak-3"})}, {frozenset({"oak-1", "oak-3"})}]
+
+
+def test_pairs_that_the_index_left_out_are_compared_where_their_group_asks_for_it(
+    folder, tmp_path, fuse_folder, files_of, monkeypatch
+):
+    fuse_folder(folder, tmp_path / "all")
+    every = MapIndex.pairs
+    monkeypatch.setattr(MapIndex, "pairs", lambda index: [p for p in every(index) if (p.map1, p.map2) != NOT_COMPARED])
+    assert fuse_folder(folder, tmp_path / "run").pairs == 10
+    fused, direct = (read_fused(tmp_path / run / "groups" / "0002.fused.json") for run in ("run", "all"))
+    assert len(fused.landmarks) == len(direct.landmarks)
+    # what the first look left out the second one adds behind, and a run that goes on finds the same
+    before = files_of(tmp_path / "run")
+    again = fuse_folder(folder, tmp_path / "run")
+    assert (again.pairs, files_of(tmp_path / "run")) == (10, before)
 
 
 def test_deaths_change_no_byte(folder, tmp_path, compare, client, fuse_folder, files_of):
