@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .console import note, say
+from .console import log_levels, note, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 
 def compare_paper(output: Path, seed: int, *, quiet: bool) -> None:
     """Writes table and figures; shows the table."""
-    logging.getLogger("mapfuse.datasets").setLevel(logging.ERROR)  # what is odd in these maps is known and meant
+    with log_levels(datasets=logging.ERROR):  # what is odd in these maps is known and meant
+        _compare_paper(output, seed, quiet=quiet)
+
+
+def _compare_paper(output: Path, seed: int, *, quiet: bool) -> None:
     from mapfuse.datasets.paper import TABLE_1
     from mapfuse.fusion.batch.table import write_csv, write_parquet
     from mapfuse.fusion.compare import paired, paper_rows, sheets, summaries, table

@@ -92,6 +92,22 @@ def warn_on_stderr(*, verbose: bool = False) -> None:
         logging.getLogger("mapfuse").setLevel(logging.INFO)
 
 
+@contextmanager
+def log_levels(**level_from_name: int) -> Iterator[None]:
+    """Show of these parts of mapfuse only what is as grave, for as long; ``mapfuse`` is the whole."""
+    import logging
+
+    loggers = [logging.getLogger("mapfuse" if name == "mapfuse" else f"mapfuse.{name}") for name in level_from_name]
+    before = [logger.level for logger in loggers]
+    for logger, level in zip(loggers, level_from_name.values(), strict=True):
+        logger.setLevel(level)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
+
+
 def check_outputs(path_from_option: Mapping[str, Path | None], inputs: Sequence[Path] = ()) -> None:
     """Raise `UsageError` where an output can't be written, is an input, or two outputs are one file."""
     option_from_target: dict[Path, str] = {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import UsageError, say, writing
+from .console import UsageError, log_levels, say, writing
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
@@ -70,10 +70,10 @@ def demo(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"-o {output}: {error.strerror or error}") from error
-    logging.getLogger("mapfuse").setLevel(logging.ERROR)  # what is odd in these maps is known and meant
-    logging.getLogger("mapfuse.matching").setLevel(logging.WARNING)  # that the first run compiles isn't
-    for case in CASES:
-        _run(case, output)
+    # what is odd in these maps is known and meant; that the first run compiles isn't
+    with log_levels(mapfuse=logging.ERROR, matching=logging.WARNING):
+        for case in CASES:
+            _run(case, output)
     say(f"Pictures, results and maps are in {output}")
 
 
