@@ -19,7 +19,8 @@ import matching_bench
 import reference
 from baseline import Metric
 
-#: Jobs of the matcher that are compared, with the limit that was promised for them [ms].
+#: Jobs of the matcher that are compared, with the limit [ms] that was promised for them, on a machine that takes
+#: `_REFERENCE_MS` for the reference workload: slow and busy ones take longer for both.
 _MATCHING_LIMIT_MS = {
     "exhaustive H1 H2 20 x 20": 5.0,
     "exhaustive H1 H2 100 x 100": 100.0,
@@ -30,6 +31,7 @@ _MATCHING_LIMIT_MS = {
     "point pairs 40 x 40": 100.0,
     "point pairs 300 x 300": None,
 }
+_REFERENCE_MS = 18.0
 _ATTEMPTS = 3
 
 
@@ -45,9 +47,10 @@ def matching_metrics(repeat: int) -> list[Metric]:
             continue
         limit = _MATCHING_LIMIT_MS[row.job]
         if limit is not None:
-            out.append(Metric(f"{row.job}: time", row.milliseconds, "ms", tolerance=None, limit=limit))
+            out.append(Metric(f"{row.job}: time", row.milliseconds, "ms", tolerance=None))
         ratio = row.milliseconds / 1e3 / reference_s
-        out.append(Metric(f"{row.job}: time / reference", ratio, "x", tolerance=0.5))
+        most = None if limit is None else limit / _REFERENCE_MS
+        out.append(Metric(f"{row.job}: time / reference", ratio, "x", tolerance=0.5, limit=most))
         out.append(Metric(f"{row.job}: off", row.displacement_m, "m", tolerance=0.02))
     return out
 
