@@ -134,11 +134,9 @@ class _Meeting:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Candidates:
-    """The candidates of one pair that may be chosen, heaviest first, as frame ``b`` in frame ``a``: places ``k`` in
-    the comparison, ``T`` (k, 3), ``covariance`` (k, 3, 3), ``weight`` (k,)."""
+    """The candidates of one pair that may be chosen, heaviest first, one frame in the other: places ``k`` in the
+    comparison, ``T`` (k, 3), ``covariance`` (k, 3, 3), ``weight`` (k,)."""
 
-    a: str
-    b: str
     k: NDArray[np.intp]
     T: Array
     covariance: Array
@@ -354,7 +352,7 @@ class _Chooser:
             covariance = np.array([T12.covariance for T12 in found], dtype=float).reshape(-1, 3, 3)
             if (a, b) != pair:
                 T, covariance = np.asarray(se2.inverse(T)), se2.inverse_covariance(T, covariance)
-            self.candidates[key] = _Candidates(a, b, k, T, covariance + np.diag(SLACK**2), weights[k])
+            self.candidates[key] = _Candidates(k, T, covariance + np.diag(SLACK**2), weights[k])
         return self.candidates[key]
 
     def _placement(self, A: _Group, B: _Group, pair: Pair) -> _Placement:

@@ -164,8 +164,10 @@ def _triangles(positions: Array) -> NDArray[np.int16]:
 
 def _length_noise(recorded: LandmarkMap, triangles: NDArray[np.int16]) -> _LengthNoise:
     """Of the sides of a map's triangles, in powers of two, so that few maps differ."""
-    if recorded.joint_covariance is not None and len(triangles):
-        return _rounded(*_stated_length_noise(recorded, recorded.joint_covariance, triangles))
+    if recorded.joint_covariance is not None:
+        stated = _stated_length_noise(recorded, recorded.joint_covariance, triangles)
+        if stated is not None:
+            return _rounded(*stated)
     linked = any(link.distance is not None for landmark in recorded.landmarks for link in landmark.links)
     own = [float(np.sqrt(np.trace(l.covariance[:2, :2]))) for l in recorded.landmarks if l.covariance is not None]
     sigma = np.sqrt(2) * recorded.noise.position_sigma
@@ -183,11 +185,14 @@ def _rounded(fixed: float, share: float) -> _LengthNoise:
 
 def _stated_length_noise(
     recorded: LandmarkMap, joint: JointCovariance, triangles: NDArray[np.int16]
-) -> tuple[float, float]:
-    """Fixed part and share of the sides' standard deviations that a joint covariance gives."""
+) -> tuple[float, float] | None:
+    """Fixed part and share of the sides' standard deviations that a joint covariance gives; None where it has none."""
     place = {id_: k for k, id_ in enumerate(joint.order)}
-    row = joint.rows * np.array([place[landmark.id] for landmark in recorded.landmarks])
-    i, j = np.unique(np.concatenate([triangles[:, k] for k in ([0, 1], [1, 2], [0, 2])]), axis=0).T
+    row = joint.rows * np.array([place.get(landmark.id, -1) for landmark in recorded.landmarks])
+    sides = np.unique(np.concatenate([triangles[:, k] for k in ([0, 1], [1, 2], [0, 2])]), axis=0)
+    i, j = sides[(row[sides] >= 0).all(axis=1)].T
+    if not len(i):
+        return None
     side = recorded.positions[i] - recorded.positions[j]
     length = np.maximum(np.hypot(*side.T), 1e-9)
 

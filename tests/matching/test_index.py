@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from mapfuse.datasets import Landmark, LandmarkMap, se2
+from mapfuse.datasets import JointCovariance, Landmark, LandmarkMap, se2
 from mapfuse.datasets.simulation import MILKA, VESPUCCI, explore, irregular_floor, record
 from mapfuse.matching.index import FEW, SURE, MapIndex
 
@@ -99,3 +99,22 @@ def test_few_maps_are_all_paired_and_stated_pairs_always():
     assert ("m07", "m30") in pairs
     assert len(pairs) < 100
     assert proposed([]) == []
+
+
+@pytest.mark.parametrize("left_out", [0, 3, 12])
+def test_lengths_are_as_well_known_as_the_joint_covariance_of_their_ends_says(left_out):
+    """Landmarks known to 0.1 m among each other in a frame known to 5 m: a side has sqrt(2) * 0.1 m."""
+    rng = np.random.default_rng(6)
+    recorded = points("a", rng.uniform(0, 40, (12, 2)))
+    order = recorded.ids[left_out:]
+    frame = np.kron(np.ones((len(order), len(order))), 25.0 * np.eye(2))
+    joint = JointCovariance(order, 2, frame + 0.01 * np.eye(2 * len(order)))
+    index = MapIndex()
+    index.add(recorded.replace(joint_covariance=joint))
+    index.add(recorded)
+    stated, unstated = (m.noise for m in index._maps)
+    if left_out == len(recorded):
+        assert stated == unstated
+    else:
+        assert stated.fixed == 2.0**-3, "the power of two next to 0.141"
+        assert stated.share < unstated.share
