@@ -373,7 +373,7 @@ class _Chooser:
         k, T, covariance, weight = (
             np.concatenate([getattr(c, name) for c in of_pairs]) for name in ("k", "T", "covariance", "weight")
         )
-        if weight.max(initial=-np.inf) <= self.nothing:
+        if weight.max() <= self.nothing:
             return []
         a = np.array([A.index[way[0]] for way in ways])[of]
         b = np.array([B.index[way[1]] for way in ways])[of]

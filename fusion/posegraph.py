@@ -114,18 +114,13 @@ class PoseGraph:
 
     def between(self, a: str, b: str) -> tuple[Array, Array]:
         """Pose (3,) of frame ``b`` in frame ``a``, and its covariance (3, 3)."""
-        T, covariance = self.betweens([a], [b])
-        return T[0], covariance[0]
-
-    def betweens(self, a: Sequence[str], b: Sequence[str]) -> tuple[Array, Array]:
-        """Poses (k, 3) of k frames ``b`` in as many frames ``a``, and their covariances (k, 3, 3)."""
         poses, blocks = self.solved
-        i, j = (np.array([self._index[name] for name in names], dtype=np.intp) for names in (a, b))
+        i, j = self._index[a], self._index[b]
+        if i == j:
+            return np.zeros(3), np.zeros((3, 3))
         back = se2.inverse(poses[i])
         by_back, by_b = se2.compose_jacobians(back, poses[j])
         by_a = by_back @ se2.inverse_jacobian(poses[i])
-        cross = by_a @ blocks[i, j] @ np.swapaxes(by_b, 1, 2)
-        covariance = se2.propagate(by_a, blocks[i, i]) + se2.propagate(by_b, blocks[j, j])
-        covariance = covariance + cross + np.swapaxes(cross, 1, 2)
-        covariance[i == j] = 0.0
-        return np.where((i == j)[:, None], 0.0, se2.compose(back, poses[j])), covariance
+        cross = by_a @ blocks[i, j] @ by_b.T
+        covariance = se2.propagate(by_a, blocks[i, i]) + se2.propagate(by_b, blocks[j, j]) + cross + cross.T
+        return np.asarray(se2.compose(back, poses[j])), np.asarray(covariance)
