@@ -22,6 +22,9 @@ from ..evidence import Terms
 from ..pairwise import Candidate, Comparison
 from ..result import PairDecision
 
+#: Raised with every change of how answers are packed: those of a ledger packed otherwise are worked out again.
+PACKING = 2
+
 Array = NDArray[np.float64]
 
 

@@ -30,6 +30,7 @@ from .engine import Engine, Job, Task
 from .folder import read_folder
 from .ledger import Done, Ledger, Wanted, key_of
 from .packing import (
+    PACKING,
     GroupAnswer,
     GroupJob,
     PairJob,
@@ -72,7 +73,7 @@ class Batch:
         self.unreadable: list[tuple[str, str]] = []
         self.groups: list[Solved] = []
         self.problems: list[str] = []
-        self._settings, self._version = config_bytes(config), version("mapfuse")
+        self._settings, self._version = config_bytes(config), f"{version('mapfuse')}/{PACKING}"
         self._key_from_name: dict[str, str] = {}
         self._name_from_key: dict[str, str] = {}
         self._origin_from_name: dict[str, Any] = {}
