@@ -254,11 +254,12 @@ class _All:
             np.cumsum([0, *(len(m.positions) for m in maps)]),
         )
 
-    def corners(self, maps: list[_Map], slack: bool) -> _Corners:
-        """All triangles with their corners in the order that stands in the tree: the longest side first, the third
-        corner nearer to its start. Where ``slack``, also in every other order that noise may make of that one."""
-        map_ = np.repeat(np.arange(len(maps)), [len(m.triangles) for m in maps])
-        triangles = np.concatenate([m.triangles for m in maps]).astype(np.intp) + self.first[map_][:, None]
+    def corners(self, maps: Sequence[_Map], low: int, high: int, slack: bool) -> _Corners:
+        """Triangles of the maps from ``low`` up to ``high`` with their corners in the order that stands in the tree:
+        the longest side first, the third corner nearer to its start. Where ``slack``, also in every other order that
+        noise may make of that one."""
+        map_ = np.repeat(np.arange(low, high), [len(m.triangles) for m in maps[low:high]])
+        triangles = np.concatenate([m.triangles for m in maps[low:high]]).astype(np.intp) + self.first[map_][:, None]
         fixed, share = np.array([m.noise for m in maps])[map_].T
         parts = []
         for order in permutations(range(3)):
@@ -291,57 +292,58 @@ def _scores(maps: list[_Map], ranked: Indices) -> Iterator[tuple[Indices, Indice
     if not any(len(m.triangles) for m in maps):
         return
     landmarks = _All.of(maps, ranked)
-    stored, asked = landmarks.corners(maps, slack=False), landmarks.corners(maps, slack=True)
-    lookup = _Lookup(asked, stored, [m.noise for m in maps], landmarks)
+    stored = landmarks.corners(maps, 0, len(maps), slack=False)
+    lookup = _Lookup(stored, [m.noise for m in maps], landmarks)
     low, size = 0, 1
     while low < len(maps):
-        hits = lookup.hits(low, low + size)
+        high = min(low + size, len(maps))
+        asked = landmarks.corners(maps, low, high, slack=True)
+        hits = lookup.hits(asked)
         yield _voted(asked.of(hits[:, 0]), stored.of(hits[:, 1]), hits[:, 0], landmarks, len(maps))
-        low, size = low + size, int(np.clip(size * MOST_HITS / max(len(hits), 1), 1, BLOCK))
+        low, size = high, int(np.clip(size * MOST_HITS / max(len(hits), 1), 1, BLOCK))
 
 
 class _Lookup:
     """Triangles of some maps that are like those of others, in bounded memory."""
 
-    def __init__(self, asked: _Corners, stored: _Corners, noise: Sequence[_LengthNoise], landmarks: _All) -> None:
-        self.asked, self.stored = asked, stored
+    def __init__(self, stored: _Corners, noise: Sequence[_LengthNoise], landmarks: _All) -> None:
+        self.stored = stored
         self.noises = sorted(set(noise))
         self.noise_of = np.array([self.noises.index(of_map) for of_map in noise])
-        armed = (landmarks.ways | landmarks.walls) != 0
-        self.bare = ~armed[asked.corners].any(axis=1)
+        self.armed = (landmarks.ways | landmarks.walls) != 0
         self.trees: dict[tuple[int, int], tuple[cKDTree, Indices]] = {}
 
-    def hits(self, low: int, high: int) -> Indices:
-        """Pairs (k, 2) of triangles that are alike: of the maps from ``low`` up to ``high``, and of other maps."""
-        block = (self.asked.map >= low) & (self.asked.map < high)
+    def hits(self, asked: _Corners) -> Indices:
+        """Pairs (k, 2) of triangles that are alike: places in ``asked``, and of triangles of other maps."""
         found = [np.zeros((0, 2), dtype=np.intp)]
-        for mine in np.unique(self.noise_of[low:high]).tolist():
-            own, size = np.flatnonzero(block & (self.noise_of[self.asked.map] == mine)), 100
+        noise_of, bare = self.noise_of[asked.map], ~self.armed[asked.corners].any(axis=1)
+        for mine in np.unique(noise_of).tolist():
+            own, size = np.flatnonzero(noise_of == mine), 100
             while len(own):
                 now, own = own[:size], own[size:]
-                hits = np.concatenate([self._alike(now, mine, theirs) for theirs in range(len(self.noises))])
+                hits = np.concatenate([self._alike(asked, now, mine, theirs) for theirs in range(len(self.noises))])
                 size = int(np.clip(size * MOST_HITS / max(len(hits), 1), 1, 10 * size))
-                found.append(self._telling(hits))
+                found.append(self._telling(hits, asked.map, bare))
         return np.concatenate(found)
 
-    def _alike(self, own: Indices, mine: int, theirs: int) -> Indices:
+    def _alike(self, asked: _Corners, own: Indices, mine: int, theirs: int) -> Indices:
         noise = self.noises[mine].and_of(self.noises[theirs])
         if (mine, theirs) not in self.trees:
             others = np.flatnonzero(self.noise_of[self.stored.map] == theirs)
             self.trees[mine, theirs] = cKDTree(self.stored.of(others).coordinates(noise)), others
         tree, others = self.trees[mine, theirs]
-        here = cKDTree(self.asked.of(own).coordinates(noise))
+        here = cKDTree(asked.of(own).coordinates(noise))
         hits = here.sparse_distance_matrix(tree, ALIKE, output_type="ndarray")
         return np.column_stack([own[hits["i"]], others[hits["j"]]])
 
-    def _telling(self, hits: Indices) -> Indices:
+    def _telling(self, hits: Indices, asked_map: Indices, bare: NDArray[np.bool_]) -> Indices:
         """Those in another map; not of triangles without arms that are like many and tell little."""
         n = len(self.noise_of)
         theirs = self.stored.map[hits[:, 1]]
-        hits, theirs = (values[self.asked.map[hits[:, 0]] != theirs] for values in (hits, theirs))
+        hits, theirs = (values[asked_map[hits[:, 0]] != theirs] for values in (hits, theirs))
         triangles, number = np.unique(hits[:, 0], return_inverse=True)
         common = np.bincount(np.unique(number * n + theirs) // n, minlength=len(triangles))
-        tells = ~self.bare[triangles] | (np.bincount(number) < MANY) | (np.log(n / np.maximum(common, 1)) >= COMMON)
+        tells = ~bare[triangles] | (np.bincount(number) < MANY) | (np.log(n / np.maximum(common, 1)) >= COMMON)
         return np.asarray(hits[tells[number]])
 
 
