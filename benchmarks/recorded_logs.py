@@ -22,7 +22,7 @@ import numpy as np
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.mapper import Mapper
-from mapfuse.datasets.mapper.particles import name_detections
+from mapfuse.datasets.mapper.naming import name_detections
 from mapfuse.datasets.mrclam import ROBOTS, read_mrclam_log, read_mrclam_truth
 
 SETS = (2, 4, 6)

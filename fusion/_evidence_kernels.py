@@ -115,6 +115,43 @@ def blocked_ways(by, arm, passable, turn, start, end, angle):
 
 
 @kernel
+def crossings(start1, end1, start2, end2, marks, clear, sine):
+    """Points (k, 2) where segments of the one cross segments of the other: by an angle of that ``sine`` at least, more
+    than ``clear`` [m] inside all ends and away from all ``marks`` (n, 2). Those closer together are one."""
+    found = np.empty((len(start1) * len(start2), 2))
+    count = 0
+    for i in range(len(start1)):
+        ax, ay = end1[i, 0] - start1[i, 0], end1[i, 1] - start1[i, 1]
+        a = np.hypot(ax, ay)
+        if a <= 2 * clear:
+            continue
+        for j in range(len(start2)):
+            bx, by = end2[j, 0] - start2[j, 0], end2[j, 1] - start2[j, 1]
+            b = np.hypot(bx, by)
+            turn = ax * by - ay * bx
+            if b <= 2 * clear or abs(turn) < sine * a * b:
+                continue
+            dx, dy = start2[j, 0] - start1[i, 0], start2[j, 1] - start1[i, 1]
+            t, u = (dx * by - dy * bx) / turn, (dx * ay - dy * ax) / turn
+            if not (clear < t * a < a - clear and clear < u * b < b - clear):
+                continue
+            x, y = start1[i, 0] + t * ax, start1[i, 1] + t * ay
+            if _is_clear(x, y, marks, len(marks), clear) and _is_clear(x, y, found, count, clear):
+                found[count, 0], found[count, 1] = x, y
+                count += 1
+    return found[:count].copy()
+
+
+@kernel
+def _is_clear(x, y, marks, count, clear):
+    """Whether none of the first ``count`` marks is within ``clear`` [m] of a point."""
+    near = False
+    for k in range(count):
+        near |= np.hypot(marks[k, 0] - x, marks[k, 1] - y) <= clear
+    return not near
+
+
+@kernel
 def nearest(xy, of, to):
     """Place in ``of`` of the landmark whose distance to any of ``to`` is least."""
     best, distance = 0, np.inf

@@ -19,7 +19,7 @@ from .joint import Joint, referred_to
 from .members import Emptiness, Members
 from .merge import Place, merged_landmarks
 from .noisefit import noise_fits
-from .pairresult import pair_result
+from .pairresult import NEGLIGIBLE, pair_result
 from .pairwise import Comparison
 from .prepared import PreparedMap
 from .result import Decision, Frame, FusedLandmark, FusedMap, NoiseFit, PairResult
@@ -67,8 +67,9 @@ def assembled(
         for name in listed:
             T = AT_HOME if name == listed[0] else joint.solution.transform(members.index(name))
             frames[name] = Frame(len(groups) - 1, T)
+    least = NEGLIGIBLE if len(prepared) > 2 else 0.0
     results = tuple(
-        pair_result(comparisons[a, b], choice, (prepared[a].map.ids, prepared[b].map.ids), rank[b] < rank[a])
+        pair_result(comparisons[a, b], choice, (prepared[a].map.ids, prepared[b].map.ids), rank[b] < rank[a], least)
         for a, b in sorted(comparisons, key=lambda pair: sorted(rank[name] for name in pair))
     )
     decision, probability = _overall(results, choice)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mapfuse.datasets.arms import Kind, signature
 from mapfuse.datasets.maps import CORNER
 
-from .coverage import SeenArea
+from .coverage import SeenArea, Segments, bare_crossings
 from .prepared import PreparedMap
 from .regularity import Gaps, Regularity
 
@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
 ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
+#: Share of the places where corridors cross that no landmark marks (a bridge, a hall), taken from so many such places.
+BRIDGES, BRIDGES_FROM = 0.02, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,16 @@ class Background:
     def area2(self) -> SeenArea:
         """Where robot 2 would have seen point landmarks."""
         return SeenArea.of(self.m2, np.flatnonzero(self.points2))
+
+    @cached_property
+    def bridges(self) -> float:
+        """Share of the places where corridors cross that no landmark marks (a bridge, a hall).
+
+        Learnt where a robot crossed its own way without recording anything.
+        """
+        ways = [(Segments.of(m, m.positions), m.positions) for m in (self.m1, self.m2)]
+        bare = sum(len(bare_crossings(way, way, landmarks)) for way, landmarks in ways)
+        return (BRIDGES * BRIDGES_FROM + bare) / (BRIDGES_FROM + bare)
 
     @cached_property
     def rate(self) -> dict[str, float]:

@@ -19,6 +19,9 @@ from .tomap import OTHER_PATHS
 
 Array = NDArray[np.float64]
 
+#: Corridors cross by at least this angle [degrees], and this clear of every landmark and of their ends [m].
+CROSSING_DEG, CROSSING_CLEAR_M = 30.0, 2.5
+
 
 @dataclass(frozen=True, eq=False)
 class Segments:
@@ -51,6 +54,21 @@ def overlap_length(segments1: Segments, segments2: Segments, width: float, angle
     one, two = (segments1.start, segments1.end), (segments2.start, segments2.end)
     cosine, covered = float(np.cos(angle)), evidence_kernels().covered
     return float(covered(*one, *two, width, cosine) + covered(*two, *one, width, cosine)) / 2
+
+
+def bare_crossings(one: Segments, other: Segments, landmarks: Array) -> Array:
+    """Where corridors of the one cross those of the other (k, 2), and none of the ``landmarks`` (n, 2) is near.
+
+    >>> ends = ((-9.0, 0.0), (9.0, 0.0)), ((1.0, 5.0), (1.0, -5.0))
+    >>> along, across = (Segments(np.array([start]), np.array([end])) for start, end in ends)
+    >>> bare_crossings(along, across, np.zeros((0, 2))).tolist()
+    [[1.0, 0.0]]
+    >>> bare_crossings(along, across, np.array([[2.0, 0.0]])).tolist()
+    []
+    """
+    ends = (one.start, one.end, other.start, other.end)
+    sine = float(np.sin(np.deg2rad(CROSSING_DEG)))
+    return np.asarray(evidence_kernels().crossings(*ends, landmarks, CROSSING_CLEAR_M, sine))
 
 
 def _ways(prepared: PreparedMap) -> Array:

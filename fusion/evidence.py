@@ -35,7 +35,8 @@ class Terms:
     ``prior``: density of T12 before looking. ``matches``: corridor landmarks that coincide. ``points``: point landmarks
     that coincide. ``regular``: what corridor landmarks are worth less in a regular building. ``misses``: landmarks the
     other robot passed and didn't record. ``void``: emptiness both agree on.
-    ``arms``: blocked arms that the other robot drove through, or that contradict. ``compass``: agreement of north.
+    ``arms``: blocked arms that the other robot drove through, or that contradict. ``crossings``: corridors of either
+    map that cross one of the other where neither has a landmark. ``compass``: agreement of north.
     ``known``: landmarks that the maps themselves say are the same (``same_as``). ``stated``: agreement with what the
     user knows of T12 (`mapfuse.fusion.known.KnownTransform`).
     """
@@ -47,6 +48,7 @@ class Terms:
     misses: float = 0.0
     void: float = 0.0
     arms: float = 0.0
+    crossings: float = 0.0
     compass: float = 0.0
     known: float = 0.0
     stated: float = 0.0
@@ -61,7 +63,8 @@ class Terms:
 class Weighed:
     """A grown hypothesis with its evidence.
 
-    ``apart`` [nats]: what tells it from an alias of the right place whatever is missing: blocked arms and compass.
+    ``apart`` [nats]: what tells it from an alias of the right place whatever is missing: blocked arms, bare crossings
+    and compass.
     ``lacking`` (6,): what is there and what is missing, as the odds of an alias that lacks each of
     `mapfuse.fusion.repetition.LACKING`. ``missed1``, ``missed2``: landmarks of map 1, map 2 that the other robot passed
     without recording them; ``through1``, ``through2``: how many blocked arms of each of these it drove through
@@ -107,7 +110,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     """The evidence of a grown hypothesis."""
     joined = growth.joined
     way = passing_at(joined.T12, joined.corrected(), (joined.i, joined.j), background, config)
-    misses, void, arms = emptiness(way, background, config)
+    misses, void, arms, crossings = emptiness(way, background, config)
     arms += per_arm(config) * int(joined.arms.contradict.sum())
     compass = _compass(joined.m1, joined.m2, float(joined.T12[2]))
     matches, regular = corridor_matches(joined, background, float(np.deg2rad(config.corridor_angle_deg)))
@@ -121,6 +124,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
         misses=misses,
         void=void,
         arms=arms,
+        crossings=crossings,
         compass=compass,
     )
     hits = np.concatenate([background.recorded1[joined.i], background.recorded2[joined.j]])
@@ -128,7 +132,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     return Weighed(
         growth,
         terms,
-        arms + compass,
+        arms + crossings + compass,
         lacking_odds(hits, gone),
         tuple(way.missed1.tolist()),
         tuple(way.missed2.tolist()),

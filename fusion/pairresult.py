@@ -20,15 +20,19 @@ Array = NDArray[np.float64]
 
 #: Of so many hypotheses, and of all that are at least this probable, it is told which landmarks they match.
 TOLD, WORTH_TELLING = 3, 1e-4
+#: Among more than two maps, hypotheses below the best few are left out where they are less probable than this: of
+#: 160 maps they would be nine tenths of the file. Together they are less than the sum of a pair may be off.
+NEGLIGIBLE = 1e-9
 
 
 def pair_result(
-    comparison: Comparison, choice: Choice, ids: tuple[Sequence[str], Sequence[str]], swapped: bool
+    comparison: Comparison, choice: Choice, ids: tuple[Sequence[str], Sequence[str]], swapped: bool, least: float = 0.0
 ) -> PairResult:
     """The result of a pair, its maps named in the other order where ``swapped``; ``ids``: of both maps' landmarks.
 
     In a group the pair's own answer may be decided or overruled by the maps around it. Then the candidate that agrees
-    with the group, if any, comes first with the group's probability, and the others share what is left.
+    with the group, if any, comes first with the group's probability, and the others share what is left. Hypotheses
+    after the best three that are less probable than ``least`` are left out, but for `mixture_covariance`.
     """
     order, probabilities, none, decision, reason = _in_group(comparison, choice, swapped)
     names = comparison.maps[::-1] if swapped else comparison.maps
@@ -40,7 +44,8 @@ def pair_result(
     ]
     hypotheses = tuple(
         RankedHypothesis(T, len(c.matches), c.log_odds, float(p), evidence=asdict(c.terms), **more)
-        for T, c, p, more in zip(transforms, candidates, probabilities, told, strict=True)
+        for k, (T, c, p, more) in enumerate(zip(transforms, candidates, probabilities, told, strict=True))
+        if k < TOLD or p >= least
     )
     return PairResult(
         maps=names,

@@ -1,7 +1,8 @@
 """Who passed what: what two robots did not see of each other's maps, and how much both travelled.
 
 A landmark of one map that lies where the other robot travelled, and isn't in its map, is a miss; a blocked arm through
-which it drove contradicts; emptiness that both agree on speaks for an overlap (docs/evidence.md).
+which it drove contradicts, and so do corridors that cross where neither map has a landmark; emptiness that both agree
+on speaks for an overlap (docs/evidence.md).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from .background import Background
 from .config import EvidenceConfig
-from .coverage import Segments, overlap_length, passed
+from .coverage import Segments, bare_crossings, overlap_length, passed
 from .regularity import evidence_kernels
 
 Array = NDArray[np.float64]
@@ -29,6 +30,7 @@ class Passing:
 
     ``blocked``: how many blocked arms were driven through. ``through1`` (n1,), ``through2`` (n2,): the same of each
     landmark, where a corner that the other robot drove straight across counts as one at least, whatever its arms.
+    ``crossed``: how many corridors of either map cross one of the other where neither has a landmark.
     ``overlap`` [m]: corridor that both travelled; ``area_overlap`` [m^2]: where both would have seen points.
     """
 
@@ -37,6 +39,7 @@ class Passing:
     blocked: int
     through1: Index
     through2: Index
+    crossed: int
     overlap: float
     area_overlap: float
 
@@ -80,16 +83,25 @@ def passing_at(
         area_overlap = background.area1.area(moved)
     by2[matched[0]], by1[matched[1]] = False, False
     overlap = overlap_length(s1, s2, width, angle)
-    return Passing(np.flatnonzero(by2), np.flatnonzero(by1), blocked, through1, through2, overlap, area_overlap)
+    crossed = len(bare_crossings(s1, s2, np.concatenate([p1, p2])))
+    missed1, missed2 = np.flatnonzero(by2), np.flatnonzero(by1)
+    return Passing(missed1, missed2, blocked, through1, through2, crossed, overlap, area_overlap)
 
 
-def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float]:
-    """Misses, void and arms [nats]: what is said by what two robots did not see of each other's maps."""
+def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float, float]:
+    """Misses, void, arms and crossings [nats]: what is said by what two robots did not see of each other's maps."""
     misses = np.log1p(-background.recorded1[way.missed1]).sum() + np.log1p(-background.recorded2[way.missed2]).sum()
     void = background.common * way.overlap
     if way.area_overlap:
         void += background.area_common * way.area_overlap
-    return float(misses), float(void), per_arm(config) * way.blocked
+    crossings = per_crossing(background) * way.crossed if way.crossed else 0.0
+    return float(misses), float(void), per_arm(config) * way.blocked, crossings
+
+
+def per_crossing(background: Background) -> float:
+    """What two corridors that cross without a landmark take off [nats]: both robots missed it, or there is none."""
+    missed = (1 - background.m1.map.noise.detection_rate) * (1 - background.m2.map.noise.detection_rate)
+    return float(np.log((1 - background.bridges) * missed + background.bridges))
 
 
 def per_arm(config: EvidenceConfig) -> float:

@@ -23,7 +23,7 @@ from ..pairwise import Candidate, Comparison
 from ..result import PairDecision
 
 #: Raised with every change of how answers are packed: those of a ledger packed otherwise are worked out again.
-PACKING = 2
+PACKING = 3
 
 Array = NDArray[np.float64]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -24,6 +25,7 @@ from ..far import middle, pair_put_back
 from ..pairresult import mixture, pair_result
 from ..pairwise import Comparison
 from ..prepared import PreparedMap
+from ..result import PairResult
 from . import tasks
 from .choosing import Solved, alone, parts, settled_part
 from .engine import Engine, Job, Task
@@ -279,14 +281,16 @@ class Batch:
             else:
                 yield pair_row(self._pair_result(comparison_from_bytes(done.result)), done.seconds)
 
-    def _pair_result(self, comparison: Comparison) -> Any:
+    def _pair_result(self, comparison: Comparison) -> PairResult:
+        """A pair's answer within its group, with its first hypothesis only: the table holds no more."""
         first, second = comparison.maps
         choice = self._choice_from_name.get(first)
         if choice is None or choice is not self._choice_from_name.get(second):
             choice = alone(comparison.maps)
         ids = [""] * len(comparison.rates1), [""] * len(comparison.rates2)
         origin1, origin2 = (self._origin_from_name.get(name, np.zeros(2)) for name in comparison.maps)
-        return pair_put_back(pair_result(comparison, choice, ids, swapped=False), origin1, origin2, mixture)
+        found = pair_result(comparison, choice, ids, swapped=False)
+        return pair_put_back(replace(found, hypotheses=found.hypotheses[:1]), origin1, origin2, mixture)
 
     def _map_rows(self) -> Iterator[dict[str, Any]]:
         """By name: file, number of the group and pose in its first map; then the files that aren't maps."""

@@ -42,6 +42,11 @@ WORDS: Mapping[str, tuple[str, str, Marks]] = {
         "A robot drove where the other one found the way blocked, or arms of the same landmark differ.",
         "matches",
     ),
+    "crossings": (
+        "Corridors that cross without a junction",
+        "A corridor of one map leads across a corridor of the other one, and neither robot recorded a junction there.",
+        "none",
+    ),
     "compass": ("Compasses", "How well the norths of both robots agree under this placement.", "none"),
     "known": (
         "Known to be the same",

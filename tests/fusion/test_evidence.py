@@ -17,6 +17,7 @@ from mapfuse.fusion.coverage import SeenArea, Segments, overlap_length, passed
 from mapfuse.fusion.elastic import PRIOR_SIGMA, Joined
 from mapfuse.fusion.evidence import ONE_GRID, STEEL_RATE, weigh
 from mapfuse.fusion.growth import Growth, grow
+from mapfuse.fusion.passing import emptiness, passing_at
 from mapfuse.fusion.prepared import prepare
 
 CONFIG, SOLVING = EvidenceConfig(), SolvingConfig()
@@ -155,6 +156,40 @@ def test_a_corner_that_the_other_robot_drove_straight_across_is_hardly_one():
     # within a metre of the end the link may turn there
     near = weighed(corridor("one", Landmark("x", "corner", 0.5, 0.0, links=ways)), corridor("two"), BOTH_ENDS)
     assert (near.missed1, near.through1) == ((2,), (0,))
+
+
+@pytest.mark.parametrize(
+    ("shift", "turn", "between", "crossed"),
+    [
+        ((10.0, -10.0), np.pi / 2, (), 1),  # the middles cross
+        ((10.0, -10.0), np.pi / 2, (Landmark("x", "crossing", 10.5, 0.5),), 0),  # where there is a crossing
+        ((2.0, -10.0), np.pi / 2, (), 0),  # at the end of map 1: a junction that one robot had the end for
+        ((10.0, -2.0), np.pi / 2, (), 0),  # at the end of map 2
+        ((0.0, -2.5), 0.25, (), 0),  # 14 degrees: one corridor, badly aligned
+    ],
+)
+def test_corridors_that_cross_have_a_crossing_that_both_robots_missed(shift, turn, between, crossed):
+    nothing = (np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
+    for order in (1, -1):
+        one, two = (corridor("one", *between), corridor("two"))[::order]
+        T12 = np.array([*shift, turn])
+        T12 = T12 if order == 1 else se2.inverse(T12)
+        background = Background(one, two)
+        way = passing_at(T12, (one.positions, se2.transform(T12, two.positions)), nothing, background, CONFIG)
+        assert way.crossed == crossed
+        # both robots missed it, or it is one of the two in a hundred that nobody can see
+        nats = np.log(0.98 * (1 - PD) ** 2 + 0.02)
+        assert emptiness(way, background, CONFIG)[3] == pytest.approx(crossed * nats)
+
+
+def test_a_robot_that_crossed_its_own_way_says_that_crossings_need_not_be_marked():
+    south, north = (
+        Landmark(id_, "corner", 10.0, y, links=(Link("open", heading, None, to, LENGTH, 1),))
+        for id_, y, heading, to in (("south", -10.0, np.pi / 2, "north"), ("north", 10.0, -np.pi / 2, "south"))
+    )
+    assert Background(corridor("one"), corridor("two")).bridges == pytest.approx(0.02)
+    # one such place more than the ten of which two in a hundred are unmarked
+    assert Background(corridor("one", south, north), corridor("two")).bridges == pytest.approx(1.2 / 11)
 
 
 def test_arms_that_contradict_at_a_matched_landmark():

@@ -5,7 +5,8 @@ import pytest
 
 from mapfuse.datasets import ConfigError, se2
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
-from mapfuse.datasets.mapper.particles import ParticleConfig, name_detections
+from mapfuse.datasets.mapper.naming import name_detections
+from mapfuse.datasets.mapper.particles import ParticleConfig
 
 SENSORS = Sensors(range_sigma=0.1, range_sigma_per_metre=0.0, bearing_sigma=0.03, odometry_turn_sigma_per_turn=0.1)
 PLACES = np.array([[3.0, 3.0], [-3.0, 3.5], [-3.5, -3.0], [3.2, -3.4], [0.2, 5.0], [5.0, -0.5]])

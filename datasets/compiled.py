@@ -1,0 +1,52 @@
+"""Compiled kernels, loaded when something is to be computed and not before; machine code is kept on disk by numba.
+
+Modules whose names begin with an underscore and end in ``kernels`` hold nothing but kernels. They are imported through
+`kernels` only, so that importing mapfuse costs no numba.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeVar, cast
+
+log = logging.getLogger(__name__)
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def kernel(function: Function) -> Function:
+    """Decorator: compiled at its first call, without the interpreter's lock, and cached on disk where that is writable.
+
+    Numba keeps the machine code beside the source, or in the user's cache folder, or in ``NUMBA_CACHE_DIR``. Where none
+    of them can be written, each process compiles anew.
+    """
+    import numba
+
+    compiled: Any
+    try:
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # numba's word for: there is no folder to keep it in
+        compiled = numba.njit(nogil=True, error_model="numpy")(function)
+    return cast(Function, compiled)
+
+
+@cache
+def kernels(name: str, package: str, what: str) -> ModuleType:
+    """The module ``name`` of a package; says once that ``what`` will be compiled, if it isn't on disk yet."""
+    module = import_module(f"{package}.{name}")
+    if not _is_on_disk(module):
+        log.warning("compiling %s for this machine, once; it takes some seconds", what)
+    return module
+
+
+def _is_on_disk(module: ModuleType) -> bool:
+    """Whether numba has kept machine code of this version of the module's source."""
+    source = Path(str(module.__file__))
+    folders = {value.stats.cache_path for value in vars(module).values() if hasattr(value, "py_func")}
+    kept = [index for folder in folders if folder for index in Path(folder).glob(f"{source.stem}.*.nbi")]
+    return any(index.stat().st_mtime >= source.stat().st_mtime for index in kept)
