@@ -27,6 +27,10 @@ from mapfuse.datasets.mrclam import ROBOTS, read_mrclam_log, read_mrclam_truth
 
 SETS = (2, 4, 6)
 HERE = Path(__file__).resolve().parent
+ABOUT = """Named by `mapfuse.datasets.mapper.naming.name_detections`, seed {seed}; the mapper alone has a median of
+0.692 m and a worst of 2.185 m. How many particles and runs, and when a landmark isn't there, were set with these
+drives in view: this is a development figure. In set 6 tubes stand in groups 0.18 m apart. Only the landmarks in a map
+count, each as the tube that most of its detections were of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +46,12 @@ class Row:
     seconds: float
 
 
-def measure(folder: Path, number: int, robot: int, barcodes: bool) -> Row:
+def measure(folder: Path, number: int, robot: int, barcodes: bool, seed: int) -> Row:
     """Map one log and compare."""
     home = folder / f"MRCLAM_Dataset{number}"
     log, truth = read_mrclam_log(home, robot, barcodes=barcodes), read_mrclam_truth(home, robot)
     begin = time.process_time()
-    named = name_detections(log)
+    named = name_detections(log, seed=seed)
     mapper, log = Mapper(log.header), named.log
     for event in log.events:
         mapper.update(event)
@@ -67,13 +71,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--without-barcodes", action="store_true")
+    parser.add_argument("--seed", type=int, default=0, help="of the particles, without barcodes")
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
     barcodes = not arguments.without_barcodes
     rows = []
     for number in SETS:
         for robot in ROBOTS:
-            rows.append(measure(arguments.folder, number, robot, barcodes))
+            rows.append(measure(arguments.folder, number, robot, barcodes, arguments.seed))
             print(rows[-1], flush=True)
     errors = [row.rms for row in rows]
     which = "with" if barcodes else "without"
@@ -90,6 +95,8 @@ def main() -> None:
             for r in rows
         ),
     ]
+    if not barcodes:
+        lines += ["", ABOUT.format(seed=arguments.seed)]
     text = "\n".join(lines) + "\n"
     print(text)
     if arguments.write:

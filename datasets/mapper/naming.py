@@ -2,7 +2,8 @@
 
 Particles say which landmark each one is (`particles`). A landmark that they began twice, since the robot's heading was
 off when it came back, stands twice close together once the mapper has smoothed all of it: such doubles become one, and
-it is smoothed again. The mapper then estimates the map, with its covariance, as if the names had been given.
+it is smoothed again. One that was hardly ever seen where others were goes. The mapper then estimates the map, with its
+covariance, as if the names had been given.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ import msgspec
 import numpy as np
 
 from ..logs import Detection, Event, Log
+from .finish import Finished, finish
 from .mapper import Mapper
-from .particles import ParticleConfig, associate, is_nameless
+from .particles import ParticleConfig, associate, in_plain_sight, is_nameless
 
 #: Rounds of joining doubles and smoothing anew, at most.
 _ROUNDS = 8
 #: Two that were seen at one moment in a larger share of the rarer one's sightings are two.
 _AT_ONCE = 0.05
+#: A landmark that was seen in a smaller share of the moments when it stood in plain sight isn't there, where there are
+#: enough of those.
+_SHARE, _ENOUGH = 0.2, 4
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,7 +74,7 @@ def name_detections(log: Log, config: ParticleConfig | None = None, *, seed: int
             numbers.append(number)
         else:
             out.append(event)
-    return NamedLog(_without_doubles(Log(log.header, out), set(names.values()), config.near), tuple(numbers))
+    return _settled(NamedLog(Log(log.header, out), tuple(numbers)), set(names.values()), config.near)
 
 
 def _free_name(type_: str, taken: set[str | None]) -> str:
@@ -80,45 +85,73 @@ def _free_name(type_: str, taken: set[str | None]) -> str:
     return f"{type_}.{k}"
 
 
-def _without_doubles(log: Log, ours: Collection[str], near: float) -> Log:
-    """The log with one name for landmarks of one type, among ``ours``, that the map has nearer than ``near`` [m]."""
+def _settled(named: NamedLog, ours: Collection[str], near: float) -> NamedLog:
+    """With one name for landmarks, among ``ours``, that are one, and without those that aren't there."""
     for _ in range(_ROUNDS):
-        name_from_double = _doubles(log, ours, near)
-        if not name_from_double:
+        mapper = Mapper(named.log.header)
+        for event in named.log.events:
+            mapper.update(event)
+        found = finish(mapper)
+        refuted, renamed = _refuted(found, ours), _doubles(found, named.log, ours, near)
+        if not refuted and not renamed:
             break
-        events = [
-            msgspec.structs.replace(event, id=name_from_double.get(event.id, event.id))
-            if isinstance(event, Detection) and event.id is not None
-            else event
-            for event in log.events
-        ]
-        log = Log(log.header, events)
-    return log
+        named = _changed(named, refuted, renamed)
+    return named
 
 
-def _doubles(log: Log, ours: Collection[str], near: float) -> Mapping[str, str]:
-    """Of each landmark that is another one the name of that; the nearest pairs first, each landmark once."""
-    mapper = Mapper(log.header)
-    for event in log.events:
-        mapper.update(event)
-    known = [landmark for landmark in mapper.map().landmarks if landmark.id in ours]
+def _changed(named: NamedLog, refuted: Collection[str], name_from_double: Mapping[str, str]) -> NamedLog:
+    events: list[Event] = []
+    numbers: list[int] = []
+    coming = iter(named.numbers)
+    for event in named.log.events:
+        if not isinstance(event, Detection):
+            events.append(event)
+            continue
+        number = next(coming)
+        if event.id in refuted:
+            continue
+        name = name_from_double.get(event.id or "")
+        events.append(event if name is None else msgspec.structs.replace(event, id=name))
+        numbers.append(number)
+    return NamedLog(Log(named.log.header, events), tuple(numbers))
+
+
+def _refuted(found: Finished, ours: Collection[str]) -> set[str]:
+    """Landmarks that the robot hardly ever saw where it saw others and had them in plain sight."""
+    sightings = found.memory.sightings
+    seen = {(sighting.keyframe, sighting.landmark) for sighting in sightings}
+    frames = np.unique([sighting.keyframe for sighting in sightings]).astype(np.intp)
+    plain = in_plain_sight(found.smoothed.estimate.poses[frames], found.smoothed.estimate.landmarks)
+    gone: set[str] = set()
+    for k, (key, landmark) in enumerate(found.landmarks.items()):
+        chances = frames[plain[:, k]].tolist()
+        hits = sum((frame, key) in seen for frame in chances)
+        name = landmark.name
+        if name is not None and name in ours and len(chances) >= _ENOUGH and hits < _SHARE * len(chances):
+            gone.add(name)
+    return gone
+
+
+def _doubles(found: Finished, log: Log, ours: Collection[str], near: float) -> Mapping[str, str]:
+    """Of each landmark that is another one, nearer than ``near`` [m], the name of that; the nearest pairs first."""
+    known = [(place, landmark) for place, landmark in enumerate(found.landmarks.values()) if landmark.name in ours]
     if len(known) < 2:
         return {}
     seen, together = _sightings(log, ours)
-    at = np.array([(landmark.x, landmark.y) for landmark in known])
+    at = found.smoothed.estimate.landmarks[[place for place, _ in known]]
     apart = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1))
     rows, columns = np.nonzero(np.triu(apart < near, k=1))
-    found: dict[str, str] = {}
+    renamed: dict[str, str] = {}
     taken: set[str] = set()
     for k in np.argsort(apart[rows, columns], kind="stable").tolist():
-        one, other = known[int(rows[k])], known[int(columns[k])]
-        pair = (min(one.id, other.id), max(one.id, other.id))
-        if one.type != other.type or taken & set(pair):
+        one, other = known[int(rows[k])][1], known[int(columns[k])][1]
+        first, second = sorted((str(one.name), str(other.name)))
+        if one.type != other.type or taken & {first, second}:
             continue
-        if together[pair] <= _AT_ONCE * min(seen[one.id], seen[other.id]):
-            found[pair[1]] = pair[0]
-            taken |= set(pair)
-    return found
+        if together[first, second] <= _AT_ONCE * min(seen[first], seen[second]):
+            renamed[second] = first
+            taken |= {first, second}
+    return renamed
 
 
 def _sightings(log: Log, ours: Collection[str]) -> tuple[Counter[str], Counter[tuple[str, str]]]:

@@ -111,6 +111,19 @@ def is_nameless(event: Detection) -> bool:
     return event.id is None and not event.arms
 
 
+def in_plain_sight(poses: Array, places: Array) -> NDArray[np.bool_]:
+    """Whether a robot at ``poses`` (n, 3) has ``places`` (m, 2) before it, neither too close nor far; (n, m).
+
+    >>> in_plain_sight(np.array([[0.0, 0.0, 0.0]]), np.array([[2.0, 0.0], [-2.0, 0.0], [9.0, 0.0]])).tolist()
+    [[True, False, False]]
+    """
+    nearest, farthest, side = _PLAIN
+    x, y = (places[None] - poses[:, None, :2]).transpose(2, 0, 1)
+    aside = np.abs((np.arctan2(y, x) - poses[:, 2:] + np.pi) % (2 * np.pi) - np.pi)
+    away = np.hypot(x, y)
+    return np.asarray((away > nearest) & (away < farthest) & (aside < side))
+
+
 def associate(events: Iterable[Event], sensors: Sensors, config: ParticleConfig, seed: int) -> Association:
     """What the likeliest particle of the likeliest run says; the same events and seed give the same.
 

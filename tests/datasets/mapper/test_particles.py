@@ -1,14 +1,18 @@
 """Names by particles: true landmarks found again after a loop, the same names twice, and what stays as it is."""
 
+from dataclasses import replace
+
+import msgspec
 import numpy as np
 import pytest
 
 from mapfuse.datasets import ConfigError, se2
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.datasets.mapper.naming import name_detections
-from mapfuse.datasets.mapper.particles import ParticleConfig
+from mapfuse.datasets.mapper.particles import ParticleConfig, associate, in_plain_sight
 
 SENSORS = Sensors(range_sigma=0.1, range_sigma_per_metre=0.0, bearing_sigma=0.03, odometry_turn_sigma_per_turn=0.1)
+FEW = ParticleConfig(particles=40, runs=2)
 PLACES = np.array([[3.0, 3.0], [-3.0, 3.5], [-3.5, -3.0], [3.2, -3.4], [0.2, 5.0], [5.0, -0.5]])
 
 
@@ -35,7 +39,7 @@ def drive():
 
 def test_each_tree_has_one_name_over_three_rounds(drive):
     log, trees = drive
-    named = name_detections(log, ParticleConfig(particles=40))
+    named = name_detections(log, FEW)
     ids = [event.id for event in named.log.events if isinstance(event, Detection)]
     pairs = {(name, trees[k]) for name, k in zip(ids, named.numbers, strict=True)}
     assert len(pairs) == len(PLACES)
@@ -44,7 +48,7 @@ def test_each_tree_has_one_name_over_three_rounds(drive):
 
 def test_the_same_log_and_seed_give_the_same_names(drive):
     log, _ = drive
-    once, again = (name_detections(log, ParticleConfig(particles=10), seed=3) for _ in range(2))
+    once, again = (name_detections(log, replace(FEW, particles=10), seed=3) for _ in range(2))
     assert once.log.events == again.log.events
     assert once.numbers == again.numbers
 
@@ -55,7 +59,7 @@ def test_named_ones_and_those_with_arms_stay_as_they_are():
     looks = [Detection(0.2 + 0.1 * k, "tree", 5.0 - 0.1 * k, 0.0) for k in range(20)]
     moves = [Odometry(0.2 + 0.1 * k, 0.1 * k, 0.0, 0.0) for k in range(20)]
     events = [*kept, *sorted([*moves, *looks], key=lambda event: event.t)]
-    named = name_detections(Log(LogHeader("D7", sensors=SENSORS), events), ParticleConfig(particles=10))
+    named = name_detections(Log(LogHeader("D7", sensors=SENSORS), events), replace(FEW, particles=10))
     assert named.log.events[:2] == kept
     fresh = {event.id for event in named.log.events[2:] if isinstance(event, Detection)}
     assert fresh == {"tree.2"}
@@ -63,11 +67,56 @@ def test_named_ones_and_those_with_arms_stay_as_they_are():
 
 def test_single_false_alarms_get_no_name_and_go():
     events = [Odometry(0.0, 0.0, 0.0, 0.0), Detection(0.0, "tree", 2.0, 0.0), Odometry(1.0, 1.0, 0.0, 0.0)]
-    named = name_detections(Log(LogHeader("D7", sensors=SENSORS), events))
+    named = name_detections(Log(LogHeader("D7", sensors=SENSORS), events), FEW)
     assert named.numbers == ()
     assert not any(isinstance(event, Detection) for event in named.log.events)
 
 
-def test_no_particles_are_refused():
-    with pytest.raises(ConfigError, match="particles"):
-        ParticleConfig(particles=0)
+def test_the_likeliest_of_several_runs_counts(drive):
+    log, _ = drive
+    found = [associate(log.events, SENSORS, replace(FEW, runs=runs), seed=3).nats for runs in (1, 2, 3)]
+    assert found == sorted(found)
+    # odometry that turns half as far as it should foretells nothing: each round begins new trees
+    half = [
+        msgspec.structs.replace(event, theta=event.theta / 2) if isinstance(event, Odometry) else event
+        for event in log.events
+    ]
+    assert associate(half, SENSORS, FEW, seed=3).nats < found[-1] - 100
+
+
+def test_a_landmark_that_was_hardly_ever_seen_where_the_others_were_goes(drive):
+    log, trees = drive
+    # seven detections of one place, in one stretch of the first round; it is in plain sight twice more
+    true, events, numbers, added = np.zeros(3), [], [], 0
+    steps = iter(range(900))
+    of_detection = iter(range(len(trees)))
+    for event in log.events:
+        if isinstance(event, Odometry):
+            k = next(steps)
+            true = se2.compose(true, np.array([0.04, 0.0, 6 * np.pi / 900]))
+            u, v = se2.transform(se2.inverse(true), np.array([2.5, 0.6]))
+            events.append(event)
+            if k < 300 and k % 3 == 0 and u > 0.8 and abs(np.arctan2(v, u)) < 0.3 and added < 7:
+                events.append(Detection(event.t, "tree", float(np.hypot(u, v)), float(np.arctan2(v, u))))
+                numbers.append(None)
+                added += 1
+            continue
+        events.append(event)
+        numbers.append(next(of_detection))
+    assert added == 7
+    named = name_detections(Log(log.header, events), FEW)
+    ids = [event.id for event in named.log.events if isinstance(event, Detection)]
+    assert None not in {numbers[k] for k in named.numbers}
+    assert len({(name, trees[numbers[k]]) for name, k in zip(ids, named.numbers, strict=True)}) == len(PLACES)
+
+
+def test_plain_sight_is_ahead_and_near():
+    pose = np.array([[1.0, 1.0, np.pi / 2]])
+    places = np.array([[1.0, 3.0], [1.0, 1.2], [1.0, 8.0], [3.0, 1.0], [1.5, 3.0]])
+    assert in_plain_sight(pose, places).tolist() == [[True, False, False, False, True]]
+
+
+@pytest.mark.parametrize("name", ["particles", "runs"])
+def test_no_particles_are_refused(name):
+    with pytest.raises(ConfigError, match=name):
+        ParticleConfig(**{name: 0})
