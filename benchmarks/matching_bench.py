@@ -33,6 +33,7 @@ from mapfuse.matching.exhaustive import match_exhaustively
 from mapfuse.matching.landmark_arrays import landmark_arrays
 from mapfuse.matching.point_pairs import match_point_pairs
 from mapfuse.matching.propose import propose
+from mapfuse.matching.voting import SETTINGS
 
 TRUE_T12 = np.array([12.0, -7.0, 0.8])
 
@@ -117,8 +118,10 @@ class SizeRow:
 def prepare(recorded: LandmarkMap) -> None:
     """What is done once per map."""
     arrays = landmark_arrays(recorded)
-    for name in ("travelled", "patterns", "by_isolation", "by_place", "near_open", "near_blocked", "rates", "spread"):
+    for name in ("travelled", "patterns", "isolation_by_place", "rates", "spread"):
         getattr(arrays, name)
+    seen_by_other = tuple(recorded.noise.detection(label) for label in arrays.labels)
+    arrays.facing(seen_by_other, arrays.travelled.has_links, len(recorded) > SETTINGS.sorted)
 
 
 def size_row(n: int, repeat: int) -> SizeRow:
