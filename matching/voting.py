@@ -42,8 +42,9 @@ class Settings:
     of map 2 at least. ``cells``: of the grid of counters, 40 a landmark
     between these bounds. ``peaks``: of each rotation mode; ``modes``: at most.
     ``glance``: landmarks of map 2 by which all candidates are compared, ``refined``: how many of them remain.
-    ``sample``: landmarks by which these are refined where a map has more than ``full`` of them; ``ways``: how many
-    places a robot's ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the order of place.
+    ``sample``: landmarks by which these are refined where a map has more than ``full`` of them, and ``last``: how many
+    are then still compared by all landmarks, at least, however large the maps are; ``ways``: how many places a robot's
+    ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the order of place.
     ``cell_m`` [m]: of the grid. ``rotation_width`` [rad]: of a mode. ``looseness`` [rad]: by how much a candidate's
     rotation may be off. ``gate``: standard deviations. ``arm``, ``contradiction`` [nats]: for each arm that meets one
     of the same or of the other passability. ``least_gain`` [nats]: of a match. To measure what they are worth:
@@ -60,6 +61,7 @@ class Settings:
     refined: int = 80
     sample: int = 300
     full: int = 400
+    last: int = 8
     ways: int = 1500
     sorted: int = 2000
     cell_m: float = 1.5
@@ -254,7 +256,7 @@ class Pair:
         n, cost = len(self.two), scene.cost
         if cost > settings.full:
             part = scene.part(settings.sample)
-            limit = int(np.clip(settings.refined * settings.full / cost, 16, settings.refined))
+            limit = int(np.clip(settings.refined * settings.full / cost, settings.last, settings.refined))
             candidates = self._best(scene.assess(candidates, (loose, loose / 3, 0.0), part), limit)
             found = scene.assess(candidates, (0.0,) if n > settings.sorted else (0.0, 0.0))
         else:
@@ -325,7 +327,12 @@ def rotation_modes(votes: Array, width: float, limit: int) -> list[float]:
 
 def _best_first(score: Array, T12s: Array) -> Indices:
     """Order by score, then by rotation and place, that equal ones have an order whatever the last bits say."""
-    return np.lexsort((*np.round(T12s.T, 6), -np.round(score, 9)))
+    worst_last = -np.round(score, 9)
+    order = np.argsort(worst_last, kind="stable")
+    ordered = worst_last[order]
+    if np.all(ordered[1:] > ordered[:-1]):
+        return order
+    return np.lexsort((*np.round(T12s.T, 6), worst_last))
 
 
 @dataclass(frozen=True, eq=False)
