@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from .travelled import Travelled, travelled
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int32]
+Kept = TypeVar("Kept")
 
 #: Standard deviation per axis [m] below which positions aren't believed.
 LEAST_SIGMA = 0.035
@@ -149,8 +151,19 @@ class LandmarkArrays:
         return frozen(now_at[self.by_isolation])
 
     @cached_property
-    def _facing(self) -> dict[tuple[tuple[float, ...], bool, bool], Facing]:
+    def _kept(self) -> dict[tuple[Any, ...], Any]:
         return {}
+
+    def kept(self, key: tuple[Any, ...] | None, make: Callable[[], Kept]) -> Kept:
+        """What ``make`` gives, kept with the map under ``key``, unless that is None; the last few are kept."""
+        if key is None:
+            return make()
+        found: Kept | None = self._kept.get(key)
+        if found is None:
+            if len(self._kept) > 7:
+                self._kept.clear()
+            found = self._kept[key] = make()
+        return found
 
     def facing(self, seen_by_other: tuple[float, ...], linear: bool, by_place: bool) -> Facing:
         """The arrays as a pair's kernels take them; the last few are kept, since many robots are alike.
@@ -159,12 +172,7 @@ class LandmarkArrays:
         are known; ``by_place``: in that order, else the map's.
         """
         key = seen_by_other, linear, by_place
-        found = self._facing.get(key)
-        if found is None:
-            if len(self._facing) > 3:
-                self._facing.clear()
-            found = self._facing[key] = _faced(self, *key)
-        return found
+        return self.kept(("facing", *key), lambda: _faced(self, *key))
 
     @cached_property
     def patterns(self) -> ArmPatterns:

@@ -253,12 +253,12 @@ class Pair:
             part = scene.part(settings.glance)
             rough = scene.assess(candidates, (loose,), part)
             candidates = self._best(rough, settings.refined)
-        n, cost = len(self.two), scene.cost
+        cost = scene.cost
         if cost > settings.full:
             part = scene.part(settings.sample)
             limit = int(np.clip(settings.refined * settings.full / cost, settings.last, settings.refined))
             candidates = self._best(scene.assess(candidates, (loose, loose / 3, 0.0), part), limit)
-            found = scene.assess(candidates, (0.0,) if n > settings.sorted else (0.0, 0.0))
+            found = scene.assess(candidates, (0.0,) if cost > settings.sorted else (0.0, 0.0))
         else:
             found = scene.assess(candidates, (loose, loose / 3, 0.0))
         score = found.score + self._compass(found.candidates.T12s[:, 2])
@@ -371,13 +371,18 @@ class _Scene:
             settings.least_gain,
             float(np.hypot(max(one.noise.heading_sigma, 1e-3), max(two.noise.heading_sigma, 1e-3))),
         )
-        self.cells = _cells(k, self.side1.values, self.side1.label, settings.gate * float(np.sqrt(most)))
+        reach = settings.gate * float(np.sqrt(most))
+        shared = pair.label1 is one.label
+        self.cells, self.crowd = one.kept(
+            # codes that the other map has a say in are another index
+            ("cells", reach, self.sorted) if shared else None,
+            lambda: _cells(k, self.side1.values, self.side1.label, reach),
+        )
 
     @property
     def cost(self) -> float:
         """How many landmarks are looked at to assess one candidate once."""
-        crowd = len(self.cells.members) / max(1, int(np.count_nonzero(np.diff(self.cells.start))))
-        return len(self.pair.two) * max(1.0, min(crowd, 256.0) / 3) + len(self.pair.one) / 4
+        return len(self.pair.two) * max(1.0, min(self.crowd, 256.0) / 3) + len(self.pair.one) / 4
 
     def _side(self, own: LandmarkArrays, label: NDArray[np.int32], other: LandmarkArrays) -> Any:
         seen_by_other = tuple(other.noise.detection(name) for name in own.labels)
@@ -455,8 +460,8 @@ def _void(one: LandmarkArrays, two: LandmarkArrays, rate1: Array, rate2: Array, 
     return total
 
 
-def _cells(k: ModuleType, xy: Array, label: NDArray[np.int32], size: float) -> Any:
-    """Points in cells that are at least as large as the widest gate; more than four million cells are never made."""
+def _cells(k: ModuleType, xy: Array, label: NDArray[np.int32], size: float) -> tuple[Any, float]:
+    """Points in cells as large as the widest gate, four million of them at most, and how many an occupied one lists."""
     low, high = xy[:, :2].min(axis=0), xy[:, :2].max(axis=0)
     extent = high - low
     size = max(size, 1e-6, float(extent.max()) / 4000, float(np.sqrt(extent.prod() / 4_000_000)))
@@ -464,4 +469,5 @@ def _cells(k: ModuleType, xy: Array, label: NDArray[np.int32], size: float) -> A
     nx, ny = (int(e / size) + 5 for e in extent.tolist())
     layers = int(max(1, min(int(label.max()) + 1, 4_000_000 // (nx * ny))))
     start, members = k.sorted_into_cells(xy, label, 1 / size, nx, ny, layers, float(low[0]), float(low[1]))
-    return k.Cells(float(low[0]), float(low[1]), 1 / size, nx, ny, layers, start, members)
+    crowd = len(members) / max(1, int(np.count_nonzero(np.diff(start))))
+    return k.Cells(float(low[0]), float(low[1]), 1 / size, nx, ny, layers, start, members), crowd
