@@ -162,6 +162,23 @@ def size_row(n: int, repeat: int) -> SizeRow:
     return SizeRow(n, best, median, 1e3 * per_map, peak / 1e6, bool(np.hypot(*off) < 1.0), 1e3 * slow)
 
 
+#: Points per map -> promised time of `propose` [ms].
+PROMISED_POINTS = {100: 50.0, 1000: 1000.0}
+
+
+def points_times(n: int, repeat: int) -> tuple[float, float, float]:
+    """Best and median processor time of `propose` on two maps of n points, and of the reference workload [ms]."""
+    one, two = unlabelled(n, np.random.default_rng(n))
+    slow, times = reference.processor_seconds(5), []
+    propose(one, two)
+    for _ in range(repeat):
+        begin = time.process_time()
+        propose(one, two)
+        times.append(time.process_time() - begin)
+    slow = min(slow, reference.processor_seconds(5))
+    return 1e3 * min(times), 1e3 * float(np.median(times)), 1e3 * slow
+
+
 _FIRST_CALL = """
 import time
 from mapfuse.datasets.simulation import simulated_pair
@@ -203,6 +220,12 @@ def size_table(sizes: list[int], repeat: int, cold: bool) -> list[str]:
             relative[1] += f" ({promised[0] / reference.NOMINAL_MS:.3g})"
         cells = [values[0], *relative, *values[1:], "yes" if row.right else "no"]
         lines.append(f"| {n} | {' | '.join(cells)} |")
+        print(lines[-1], flush=True)
+    lines += ["", "| points without headings or labels | ms | median | to the reference |", "|---|---|---|---|"]
+    for n, limit in PROMISED_POINTS.items():
+        best, median, slow = points_times(n, repeat)
+        ratio = f"{best / slow:.3g} ({limit / reference.NOMINAL_MS:.3g})"
+        lines.append(f"| {n} x {n} | {best:.3g} ({limit:g}) | {median:.3g} | {ratio} |")
         print(lines[-1], flush=True)
     if cold:
         without, kept = first_calls()
