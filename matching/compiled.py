@@ -36,14 +36,14 @@ def inlined(function: Function) -> Function:
     return _compiled(function, forceinline=True)
 
 
-def _compiled(function: Function, **options: bool) -> Function:
+def _compiled(function: Function, forceinline: bool = False) -> Function:
     import numba
 
     compiled: Any
     try:
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=forceinline)(function)
     except RuntimeError:  # numba's word for: there is no folder to keep it in
-        compiled = numba.njit(nogil=True, error_model="numpy", **options)(function)
+        compiled = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
     return cast(Function, compiled)
 
 
