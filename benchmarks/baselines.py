@@ -3,18 +3,22 @@
 The latter two are optional (``pip install open3d kiss-matcher``) and skipped with a reason where they can't be
 imported. Give them an environment of their own: they bring along a pytest plugin that our tests refuse. Neither knows
 landmarks: both get each landmark's place, lifted to 3-D, and a descriptor of ours (`mapfuse.fusion.compare.clouds`).
-The descriptor is worked out once per map and not timed, as our own matcher's arrays aren't.
+The descriptor is worked out once per map and not timed, as our own matcher's arrays aren't. `run_within` runs one in a
+process of its own, which ends when it has used its time.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import TooLargeError
@@ -119,8 +123,63 @@ def _kiss(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
 def _mutual(described1: Array, described2: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Landmarks that are among each other's most alike ones: places in map 1 and in map 2."""
     k = min(_PARTNERS, len(described1), len(described2))
-    of2 = np.asarray(KDTree(described1).query(described2, k=k)[1]).reshape(len(described2), k)
-    of1 = np.asarray(KDTree(described2).query(described1, k=k)[1]).reshape(len(described1), k)
+    of2, of1 = _most_alike(described1, described2, k), _most_alike(described2, described1, k)
     forward = {(int(i), j) for j, row in enumerate(of2) for i in row}
     both = sorted(forward & {(i, int(j)) for i, row in enumerate(of1) for j in row})
     return np.array([i for i, _ in both], dtype=np.intp), np.array([j for _, j in both], dtype=np.intp)
+
+
+def _most_alike(those: Array, of: Array, k: int) -> NDArray[np.intp]:
+    """The k rows of ``those`` that are nearest to each of ``of``; (n, k).
+
+    With hundreds of columns trees are slower than the product of both, some rows at a time.
+    """
+    those, of = those.astype(np.float32), of.astype(np.float32)
+    squared = np.sum(those**2, axis=1)
+    found = [
+        np.argpartition(squared - 2 * of[begin : begin + 500] @ those.T, k - 1, axis=1)[:, :k]
+        for begin in range(0, len(of), 500)
+    ]
+    return np.concatenate(found).astype(np.intp)
+
+
+def run_within(
+    baseline: Baseline,
+    map1: LandmarkMap,
+    map2: LandmarkMap,
+    tolerance_m: float,
+    described: tuple[Array, Array],
+    limit_s: int,
+) -> tuple[Answer, float] | None:
+    """Its answer and processor time [s], in a process of its own; None if that had more than ``limit_s`` of it."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    job = (sender, baseline.name, map1, map2, tolerance_m, described, limit_s)
+    process = context.Process(target=_run_limited, args=job)
+    process.start()
+    sender.close()
+    try:
+        found: tuple[Answer, float] = receiver.recv()
+    except EOFError:
+        return None
+    finally:
+        process.join()
+    return found
+
+
+def _run_limited(
+    sender: Connection,
+    name: str,
+    map1: LandmarkMap,
+    map2: LandmarkMap,
+    tolerance_m: float,
+    described: tuple[Array, Array],
+    limit_s: int,
+) -> None:
+    chosen = next(baseline for baseline in baselines() if baseline.name == name)
+    begin = time.process_time()
+    # the system ends a process that has used that much, whatever it is busy with
+    resource.setrlimit(resource.RLIMIT_CPU, (int(begin) + limit_s + 1, int(begin) + limit_s + 2))
+    with patch(f"{__name__}.descriptors", lambda *_: described):
+        answer = chosen.run(map1, map2, tolerance_m)
+    sender.send((answer, time.process_time() - begin))

@@ -19,8 +19,8 @@ import matching_bench
 import reference
 from baseline import Metric
 
-#: Jobs of the matcher that are compared, with the limit [ms] that was promised for them, on a machine that takes
-#: `_REFERENCE_MS` for the reference workload: slow and busy ones take longer for both.
+#: Jobs of the matcher that are compared, with the limit [ms] that was promised for them on a machine that takes
+#: `reference.NOMINAL_MS` for the reference workload.
 _MATCHING_LIMIT_MS = {
     "exhaustive H1 H2 20 x 20": 5.0,
     "exhaustive H1 H2 100 x 100": 100.0,
@@ -31,7 +31,6 @@ _MATCHING_LIMIT_MS = {
     "point pairs 40 x 40": 100.0,
     "point pairs 300 x 300": None,
 }
-_REFERENCE_MS = 18.0
 _ATTEMPTS = 3
 
 
@@ -49,7 +48,7 @@ def matching_metrics(repeat: int) -> list[Metric]:
         if limit is not None:
             out.append(Metric(f"{row.job}: time", row.milliseconds, "ms", tolerance=None))
         ratio = row.milliseconds / 1e3 / reference_s
-        most = None if limit is None else limit / _REFERENCE_MS
+        most = None if limit is None else limit / reference.NOMINAL_MS
         out.append(Metric(f"{row.job}: time / reference", ratio, "x", tolerance=0.5, limit=most))
         out.append(Metric(f"{row.job}: off", row.displacement_m, "m", tolerance=0.02))
     return out

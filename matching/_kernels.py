@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel
+from .compiled import inlined, kernel
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int32]
@@ -24,19 +24,18 @@ ROTATION_BINS = 180
 MOST_LOOKED_AT = 256
 
 
-class Side(NamedTuple):
-    """n landmarks of one map: see `LandmarkArrays`; ``worth`` [nats]: of a match, ``miss`` [nats]: of none."""
+# columns of `Side.values`: a landmark's numbers lie together in memory, as they are looked at together
+X, Y, VARIANCE, HEADING, WORTH, MISS = range(6)
+# and of `Side.arms`
+OPEN, BLOCKED, NEAR_OPEN, NEAR_BLOCKED = range(4)
 
-    xy: Array
-    variance: Array
+
+class Side(NamedTuple):
+    """n landmarks of one map: see `mapfuse.matching.landmark_arrays.Facing`; ``label`` (n,): shared by both maps."""
+
+    values: Array
+    arms: NDArray[np.uint64]
     label: Codes
-    heading: Array
-    open: NDArray[np.uint64]
-    blocked: NDArray[np.uint64]
-    near_open: NDArray[np.uint64]
-    near_blocked: NDArray[np.uint64]
-    worth: Array
-    miss: Array
     linear: NDArray[np.uint8]
 
 
@@ -175,6 +174,49 @@ def rotations(start1, heading1, pattern2, heading2, count, offset):
 
 
 @kernel
+def strongest_rotations(votes, reach, limit):
+    """Peaks of a histogram over the circle, strongest first, in bins, until 98 % are within ``reach`` of one.
+
+    The middle of a plateau counts as its peak. Votes are whole numbers.
+    """
+    n = len(votes)
+    left, within = votes.copy(), np.zeros(n)
+    centres = np.zeros(limit)
+    remain = np.sum(votes)
+    enough = 0.02 * remain
+    found = 0
+    while found < limit:
+        best, k = -1.0, 0
+        for b in range(n):
+            total = 0.0
+            for d in range(-reach, reach + 1):
+                total += left[(b + d) % n]
+            within[b] = total
+            if total > best:
+                best, k = total, b
+        if best <= 0 or (found > 0 and remain <= enough):
+            break
+        shift, equal = 0, 0
+        for b in range(n):
+            if within[b] >= best * (1 - 1e-12):
+                shift += (b - k + n // 2) % n - n // 2
+                equal += 1
+        plateau = shift / equal
+        if abs(plateau) <= reach:
+            k = int(np.rint(k + plateau)) % n
+        total, moment = 0.0, 0.0
+        for d in range(-reach, reach + 1):
+            b = (k + d) % n
+            total += left[b]
+            moment += left[b] * d
+            remain -= left[b]
+            left[b] = 0.0
+        centres[found] = k + 0.5 + (moment / total if total > 0 else 0.0)
+        found += 1
+    return centres[:found]
+
+
+@kernel
 def all_turns(members1, start1, heading1, members2, pattern2, heading2, count, offset, xy1, xy2, total):
     """Every T12 (total, 3) that a pair of landmarks proposes, and the pair's places (total, 2)."""
     T12s = np.zeros((total, 3))
@@ -209,6 +251,16 @@ def _first_at_least(values, begin, end, bound):
 
 
 @kernel
+def _first_from(values, begin, end, k, bound):
+    """`_first_at_least`, sought from ``k``: short where that is near."""
+    while k < end and values[k] < bound:
+        k += 1
+    while k > begin and values[k - 1] >= bound:
+        k -= 1
+    return k
+
+
+@kernel
 def vote(start1, heading1, xy1, pattern2, heading2, xy2, count, offset, theta, width, size, grid, n_peaks):
     """Translations that pairs with a rotation within ``width`` of ``theta`` [rad] vote for; the strongest peaks.
 
@@ -227,6 +279,7 @@ def vote(start1, heading1, xy1, pattern2, heading2, xy2, count, offset, theta, w
     strength = np.zeros(n_peaks, dtype=np.int64)
     whole = np.zeros((n_peaks, 2), dtype=np.int64)  # unfolded cell of the majority, and its lead
     sums = np.zeros((n_peaks, 6))
+    begins = np.zeros((n_patterns, MAX_TURNS), dtype=np.int32)
     found = 0
     folded = (xy1[:, 0].max() - rx.min() - x0) * scale >= nx or (xy1[:, 1].max() - ry.min() - y0) * scale >= ny
     for turn in range(3):
@@ -234,6 +287,9 @@ def vote(start1, heading1, xy1, pattern2, heading2, xy2, count, offset, theta, w
             continue
         # those who voted for a peak are known well enough from some hundred
         every = 1 if turn == 0 else 1 + len(pattern2) // 300
+        # voters come by pattern, then heading: the next one's interval begins near the last one's
+        for a in range(n_patterns):
+            begins[a] = start1[a]
         for j in range(0, len(pattern2), every):
             b = pattern2[j]
             for a in range(n_patterns):
@@ -249,7 +305,11 @@ def vote(start1, heading1, xy1, pattern2, heading2, xy2, count, offset, theta, w
                                 low, high = -np.pi - 1e-9, high - TWO_PI
                             else:
                                 break
-                        k = _first_at_least(heading1, start1[a], start1[a + 1], low)
+                        if part == 0:
+                            k = _first_from(heading1, start1[a], start1[a + 1], begins[a, t], low)
+                            begins[a, t] = k
+                        else:
+                            k = _first_at_least(heading1, start1[a], start1[a + 1], low)
                         while k < start1[a + 1] and heading1[k] <= high:
                             x, y = xy1[k, 0] - rx[j], xy1[k, 1] - ry[j]
                             ux, uy = int((x - x0) * scale) + 1, int((y - y0) * scale) + 1
@@ -329,32 +389,37 @@ def _peaks(grid, cell_x, cell_y, strength):
     while fullest > 1 and n < 20 * len(strength):
         n += histogram[fullest]
         fullest -= 1
+    n = np.sum(histogram[fullest:])
+    maximum = np.zeros((n, 3), dtype=np.int32)
+    n = 0
     histogram[:] = 0
-    for turn in range(2):
-        for x in range(1, nx - 1):
-            for y in range(1, ny - 1):
-                # nine times the middle is the most that a peak can have
-                if grid[x, y] < fullest:
-                    continue
-                box = _box(grid, x, y)
-                if box == 0:
-                    continue
-                if turn == 0:
-                    box = min(box, most - 1)
-                    if box >= least:
-                        histogram[box] += 1
-                        total += 1
-                        # the bound rises as long as enough are above it
-                        while total - histogram[least] >= len(strength):
-                            total -= histogram[least]
-                            least += 1
-                elif box >= least and found < len(strength):
-                    if min(box, most - 1) > least or total <= len(strength):
-                        cell_x[found], cell_y[found], strength[found] = x, y, box
-                        found += 1
-                    else:
-                        # as many of those at the bound as fit
-                        total -= 1
+    for x in range(1, nx - 1):
+        for y in range(1, ny - 1):
+            # nine times the middle is the most that a peak can have
+            if grid[x, y] < fullest:
+                continue
+            box = _box(grid, x, y)
+            if box == 0:
+                continue
+            maximum[n, 0], maximum[n, 1], maximum[n, 2] = x, y, box
+            n += 1
+            box = min(box, most - 1)
+            if box >= least:
+                histogram[box] += 1
+                total += 1
+                # the bound rises as long as enough are above it
+                while total - histogram[least] >= len(strength):
+                    total -= histogram[least]
+                    least += 1
+    for k in range(n):
+        x, y, box = maximum[k, 0], maximum[k, 1], maximum[k, 2]
+        if box >= least and found < len(strength):
+            if min(box, most - 1) > least or total <= len(strength):
+                cell_x[found], cell_y[found], strength[found] = x, y, box
+                found += 1
+            else:
+                # as many of those at the bound as fit
+                total -= 1
     return found
 
 
@@ -371,7 +436,7 @@ def _paint(grid, cell_x, cell_y, strength, found):
 
 @kernel
 def sorted_into_cells(xy, label, per_m, nx, ny, layers, x, y):
-    """`Cells.start` and `Cells.members` of points (n, 2)."""
+    """`Cells.start` and `Cells.members` of points (n, 2 or more)."""
     n_cells = nx * ny * layers
     start = np.zeros(n_cells + 1, dtype=np.int32)
     members = np.zeros(9 * len(xy), dtype=np.int32)
@@ -415,25 +480,25 @@ def _turned(bits, sectors):
     return (bits << np.uint64(sectors)) | (bits >> np.uint64(64 - sectors))
 
 
-@kernel
+@inlined
 def _gain(i, j, squared, variance, theta, sectors, one, two, rules):
     """What the match of two landmarks says [nats]."""
-    gain = one.worth[i] + two.worth[j] - squared / (2 * variance)
+    gain = one.values[i, WORTH] + two.values[j, WORTH] - squared / (2 * variance)
     normal = -0.5 * np.log(TWO_PI * variance)
     gain += normal if one.linear[i] and two.linear[j] else 2 * normal
-    open1, blocked1 = one.open[i], one.blocked[i]
-    if (open1 | blocked1) != np.uint64(0) and (two.open[j] | two.blocked[j]) != np.uint64(0):
-        open2, blocked2 = _turned(two.open[j], sectors), _turned(two.blocked[j], sectors)
-        near_open, near_blocked = one.near_open[i], one.near_blocked[i]
+    open1, blocked1 = one.arms[i, OPEN], one.arms[i, BLOCKED]
+    if (open1 | blocked1) != np.uint64(0) and (two.arms[j, OPEN] | two.arms[j, BLOCKED]) != np.uint64(0):
+        open2, blocked2 = _turned(two.arms[j, OPEN], sectors), _turned(two.arms[j, BLOCKED], sectors)
+        near_open, near_blocked = one.arms[i, NEAR_OPEN], one.arms[i, NEAR_BLOCKED]
         same = _ones(open2 & near_open) + _ones(blocked2 & near_blocked)
         against = _ones(open2 & near_blocked & ~near_open) + _ones(blocked2 & near_open & ~near_blocked)
         gain += rules.arm * same - rules.contradiction * against
-    elif abs(_wrap(one.heading[i] - two.heading[j] - theta)) > ARM:  # never of NaN
+    elif abs(_wrap(one.values[i, HEADING] - two.values[j, HEADING] - theta)) > ARM:  # never of NaN
         gain -= rules.contradiction
     return gain
 
 
-@kernel
+@inlined
 def _best(j, x, y, theta, sectors, spread, cells, one, two, rules, held, holder):
     """The landmark of map 1 that likes landmark j at (x, y) better than whom it holds, and is liked best; or -1."""
     cx, cy = (x - cells.x) * cells.per_m, (y - cells.y) * cells.per_m
@@ -446,8 +511,8 @@ def _best(j, x, y, theta, sectors, spread, cells, one, two, rules, held, holder)
         i = cells.members[m]
         if one.label[i] != two.label[j]:
             continue
-        squared = (one.xy[i, 0] - x) ** 2 + (one.xy[i, 1] - y) ** 2
-        variance = min(one.variance[i] + two.variance[j] + spread, rules.most_variance)
+        squared = (one.values[i, X] - x) ** 2 + (one.values[i, Y] - y) ** 2
+        variance = min(one.values[i, VARIANCE] + two.values[j, VARIANCE] + spread, rules.most_variance)
         if squared > rules.gate * rules.gate * variance:
             continue
         gain = _gain(i, j, squared, variance, theta, sectors, one, two, rules)
@@ -456,7 +521,7 @@ def _best(j, x, y, theta, sectors, spread, cells, one, two, rules, held, holder)
     return best, most, best_variance
 
 
-@kernel
+@inlined
 def _passed(seen, x, y):
     fx, fy = (x - seen.x) * seen.per_m, (y - seen.y) * seen.per_m
     if fx >= 0 and fy >= 0 and fx < seen.cells.shape[0] and fy < seen.cells.shape[1]:
@@ -489,7 +554,7 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
     scores (k,), numbers of matches (k,), the partner of each landmark of map 2 (k, n2) or -1, and the landmark (k,) of
     map 2 whose match is the surest, one with heading if there is one, or -1.
     """
-    n1, n2 = len(one.xy), len(two.xy)
+    n1, n2 = len(one.values), len(two.values)
     T12s, centres = T12s.copy(), centres.copy()
     score, count = np.zeros(len(T12s)), np.zeros(len(T12s), dtype=np.int32)
     partner = np.full((len(T12s), n2), -1, dtype=np.int32)
@@ -497,6 +562,7 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
     holder, held, of_match = np.full(n1, -1, dtype=np.int32), np.zeros(n1), np.zeros(n1)
     for k in range(len(T12s)):
         mine = partner[k]
+        x, y, theta, c, s = 0.0, 0.0, 0.0, 1.0, 0.0
         for turn in range(len(looseness)):
             x, y, theta = T12s[k, 0], T12s[k, 1], T12s[k, 2]
             c, s = np.cos(theta), np.sin(theta)
@@ -510,7 +576,7 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
                 # deferred acceptance: who is displaced by a better one asks again
                 while j >= 0 and steps < 4 * n2:
                     steps += 1
-                    px, py = two.xy[j, 0], two.xy[j, 1]
+                    px, py = two.values[j, X], two.values[j, Y]
                     away = (px - centres[k, 0]) ** 2 + (py - centres[k, 1]) ** 2
                     spread = rules.bend * np.sqrt(away) + loose * away
                     i, gain, variance = _best(
@@ -537,6 +603,7 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
                     j = displaced
             if turn + 1 < len(looseness):
                 _align(T12s, centres, k, mine, of_match, one, two, rules)
+        # x, y, theta, c and s are those of the last turn, which doesn't align
         total, n, most = 0.0, 0, -np.inf
         for j in range(n2):
             i = mine[j]
@@ -544,19 +611,20 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
                 total += held[i]
                 n += 1
                 # a pair to grow from has headings, and is sure
-                sure = held[i] if abs(_wrap(one.heading[i] - two.heading[j])) <= TWO_PI else held[i] - 1e6
+                off = _wrap(one.values[i, HEADING] - two.values[j, HEADING])
+                sure = held[i] if abs(off) <= TWO_PI else held[i] - 1e6
                 if sure > most:
                     seed[k], most = j, sure
-            elif two.miss[j] < 0:
-                px, py = two.xy[j, 0], two.xy[j, 1]
+            elif two.values[j, MISS] < 0:
+                px, py = two.values[j, X], two.values[j, Y]
                 if _passed(seen1, c * px - s * py + x, s * px + c * py + y) != 0:
-                    total += two.miss[j]
+                    total += two.values[j, MISS]
         if both_ways:
             for i in range(n1):
-                if holder[i] < 0 and one.miss[i] < 0:
-                    px, py = one.xy[i, 0] - x, one.xy[i, 1] - y
+                if holder[i] < 0 and one.values[i, MISS] < 0:
+                    px, py = one.values[i, X] - x, one.values[i, Y] - y
                     if _passed(seen2, c * px + s * py, c * py - s * px) != 0:
-                        total += one.miss[i]
+                        total += one.values[i, MISS]
         if seen2.void > 0:
             total += seen2.void * _common_ways(seen1, seen2, x, y, theta)
         if both_ways and seen1.void > 0:
@@ -576,11 +644,11 @@ def _align(T12s, centres, k, mine, of_match, one, two, rules):
         if i >= 0:
             w = 1 / of_match[i]
             weight += w
-            w1x += w * one.xy[i, 0]
-            w1y += w * one.xy[i, 1]
-            w2x += w * two.xy[j, 0]
-            w2y += w * two.xy[j, 1]
-            off = _wrap(one.heading[i] - two.heading[j] - theta)
+            w1x += w * one.values[i, X]
+            w1y += w * one.values[i, Y]
+            w2x += w * two.values[j, X]
+            w2y += w * two.values[j, Y]
+            off = _wrap(one.values[i, HEADING] - two.values[j, HEADING] - theta)
             if abs(off) < ARM:
                 turned += off
                 sure += 1
@@ -592,8 +660,8 @@ def _align(T12s, centres, k, mine, of_match, one, two, rules):
         i = mine[j]
         if i >= 0:
             w = 1 / of_match[i]
-            ax, ay = one.xy[i, 0] - w1x, one.xy[i, 1] - w1y
-            bx, by = two.xy[j, 0] - w2x, two.xy[j, 1] - w2y
+            ax, ay = one.values[i, X] - w1x, one.values[i, Y] - w1y
+            bx, by = two.values[j, X] - w2x, two.values[j, Y] - w2y
             cross += w * (bx * ay - by * ax)
             dot += w * (bx * ax + by * ay)
     information = np.hypot(cross, dot)
@@ -605,6 +673,18 @@ def _align(T12s, centres, k, mine, of_match, one, two, rules):
     T12s[k, 0], T12s[k, 1] = w1x - c * w2x + s * w2y, w1y - s * w2x - c * w2y
     T12s[k, 2] = _wrap(theta)
     centres[k, 0], centres[k, 1] = w2x, w2y
+
+
+@kernel
+def in_map_order(partner, kept, order1, order2):
+    """Of the rows ``kept`` of `assess`'s partners, in the order of map 2, the places in map 1; -1 stays."""
+    out = np.full((len(kept), len(order2)), -1, dtype=np.int32)
+    for k in range(len(kept)):
+        for j in range(len(order2)):
+            i = partner[kept[k], j]
+            if i >= 0:
+                out[k, order2[j]] = order1[i]
+    return out
 
 
 @kernel

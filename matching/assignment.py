@@ -12,9 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.maps import LandmarkMap
@@ -130,6 +127,10 @@ def one_to_one(group: Indices, index1: Indices, index2: Indices, cost: Array) ->
     contested = np.flatnonzero(rivals)
     if not len(contested):
         return chosen
+    # needed where landmarks compete only, and half of what a first call takes to load
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     chosen[contested] = False
     nodes1, node1 = np.unique(key1[contested], return_inverse=True)
     nodes2, node2 = np.unique(key2[contested], return_inverse=True)
@@ -180,6 +181,8 @@ def _solve_pieces(piece: Indices, node1: Indices, node2: Indices, cost: Array) -
     bounds = [*start.tolist(), len(order)]
     heights = np.maximum.reduceat(row[order], start).tolist()
     widths = np.maximum.reduceat(column[order], start).tolist()
+    from scipy.optimize import linear_sum_assignment
+
     # Leaving one more landmark unmatched must cost more than any choice among the distances.
     dear = (1.0 + np.minimum(heights, widths)) * np.maximum.reduceat(cost[order], start) + 1.0
     taken = np.zeros(len(order), dtype=bool)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from .travelled import Travelled, travelled
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int32]
+Kept = TypeVar("Kept")
 
 #: Standard deviation per axis [m] below which positions aren't believed.
 LEAST_SIGMA = 0.035
@@ -142,6 +144,37 @@ class LandmarkArrays:
         return frozen(np.lexsort((self.xy[:, 0], self.xy[:, 1], column)))
 
     @cached_property
+    def isolation_by_place(self) -> NDArray[np.intp]:
+        """`by_isolation`, as places in the order `by_place` (n,)."""
+        now_at = np.empty(len(self), dtype=np.intp)
+        now_at[self.by_place] = np.arange(len(self))
+        return frozen(now_at[self.by_isolation])
+
+    @cached_property
+    def _kept(self) -> dict[tuple[Any, ...], Any]:
+        return {}
+
+    def kept(self, key: tuple[Any, ...] | None, make: Callable[[], Kept]) -> Kept:
+        """What ``make`` gives, kept with the map under ``key``, unless that is None; the last few are kept."""
+        if key is None:
+            return make()
+        found: Kept | None = self._kept.get(key)
+        if found is None:
+            if len(self._kept) > 7:
+                self._kept.clear()
+            found = self._kept[key] = make()
+        return found
+
+    def facing(self, seen_by_other: tuple[float, ...], linear: bool, by_place: bool) -> Facing:
+        """The arrays as a pair's kernels take them; the last few are kept, since many robots are alike.
+
+        ``seen_by_other``: the other robot's detection rate of each of ``labels``; ``linear``: whether both maps' ways
+        are known; ``by_place``: in that order, else the map's.
+        """
+        key = seen_by_other, linear, by_place
+        return self.kept(("facing", *key), lambda: _faced(self, *key))
+
+    @cached_property
     def patterns(self) -> ArmPatterns:
         """Landmarks by what their arms look like."""
         return _patterns(self)
@@ -185,6 +218,34 @@ class ArmPatterns:
     pattern: Codes
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Facing:
+    """One map's landmarks beside another robot's map, in the order of the map or by place.
+
+    ``values`` (n, 6): x, y [m], variance [m^2], heading [rad], and what a match is worth but for its residual and what
+    it costs to have none where the other robot passed [nats]; ``arms`` (n, 4): sectors with an open and a blocked arm,
+    and those near them; ``linear`` (n,): 1 where the landmark counts per metre of corridor.
+    """
+
+    values: Array
+    arms: NDArray[np.uint64]
+    linear: NDArray[np.uint8]
+
+
+def _faced(own: LandmarkArrays, seen_by_other: tuple[float, ...], linear: bool, by_place: bool) -> Facing:
+    on_ways = own.armed if linear else np.zeros(len(own), dtype=bool)
+    seen = np.clip(np.array(seen_by_other), 0.01, 0.99)[own.label]
+    # off the corridors nobody knows where the other robot looked
+    miss = np.where(on_ways | (not linear), np.log(1 - own.true * seen), 0.0)
+    worth = own.log_true - (np.log(own.rates[linear]) / 2)[own.label]
+    columns = (
+        np.column_stack([own.xy, own.variance, own.heading, worth, miss]),
+        np.column_stack([own.open_sectors, own.blocked_sectors, own.near_open, own.near_blocked]),
+        on_ways.astype(np.uint8),
+    )
+    return Facing(*(frozen(column[own.by_place] if by_place else column) for column in columns))
+
+
 _kept: dict[int, tuple[weakref.ref[LandmarkMap], LandmarkArrays]] = {}
 
 
@@ -208,6 +269,8 @@ def landmark_arrays(recorded: LandmarkMap) -> LandmarkArrays:
 
 def shared_labels(one: LandmarkArrays, two: LandmarkArrays) -> tuple[Codes, Codes, int]:
     """Label codes of two maps' landmarks, equal where the labels are, and how many there are."""
+    if one.labels == two.labels:
+        return one.label, two.label, len(one.labels)
     code = {label: k for k, label in enumerate(sorted({*one.labels, *two.labels}))}
     label1, label2 = (
         np.array([code[label] for label in side.labels], dtype=np.int32)[side.label]

@@ -42,8 +42,9 @@ class Settings:
     of map 2 at least. ``cells``: of the grid of counters, 40 a landmark
     between these bounds. ``peaks``: of each rotation mode; ``modes``: at most.
     ``glance``: landmarks of map 2 by which all candidates are compared, ``refined``: how many of them remain.
-    ``sample``: landmarks by which these are refined where a map has more than ``full`` of them; ``ways``: how many
-    places a robot's ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the order of place.
+    ``sample``: landmarks by which these are refined where a map has more than ``full`` of them, and ``last``: how many
+    are then still compared by all landmarks, at least, however large the maps are; ``ways``: how many places a robot's
+    ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the order of place.
     ``cell_m`` [m]: of the grid. ``rotation_width`` [rad]: of a mode. ``looseness`` [rad]: by how much a candidate's
     rotation may be off. ``gate``: standard deviations. ``arm``, ``contradiction`` [nats]: for each arm that meets one
     of the same or of the other passability. ``least_gain`` [nats]: of a match. To measure what they are worth:
@@ -60,6 +61,7 @@ class Settings:
     refined: int = 80
     sample: int = 300
     full: int = 400
+    last: int = 8
     ways: int = 1500
     sorted: int = 2000
     cell_m: float = 1.5
@@ -183,8 +185,11 @@ class Pair:
         modes = rotation_modes(votes, self.settings.rotation_width, self.settings.modes)
         size, shape = self._grid(xy1, xy2)
 
+        # left empty by each vote: one does for all, unless they run at once
+        only = np.zeros(shape, dtype=np.uint16) if self.config.threads <= 1 else None
+
         def vote(theta: float) -> tuple[Array, Array, Array]:
-            grid = np.zeros(shape, dtype=np.uint16)
+            grid = np.zeros(shape, dtype=np.uint16) if only is None else only
             found: tuple[Array, Array, Array] = k.vote(
                 p1.start, p1.heading, xy1, pattern2, heading2, xy2, count, offset,
                 theta, self.settings.rotation_width, size, grid, self.settings.peaks,
@@ -248,19 +253,19 @@ class Pair:
             part = scene.part(settings.glance)
             rough = scene.assess(candidates, (loose,), part)
             candidates = self._best(rough, settings.refined)
-        n, cost = len(self.two), scene.cost
+        cost = scene.cost
         if cost > settings.full:
             part = scene.part(settings.sample)
-            limit = int(np.clip(settings.refined * settings.full / cost, 16, settings.refined))
+            limit = int(np.clip(settings.refined * settings.full / cost, settings.last, settings.refined))
             candidates = self._best(scene.assess(candidates, (loose, loose / 3, 0.0), part), limit)
-            found = scene.assess(candidates, (0.0,) if n > settings.sorted else (0.0, 0.0))
+            found = scene.assess(candidates, (0.0,) if cost > settings.sorted else (0.0, 0.0))
         else:
             found = scene.assess(candidates, (loose, loose / 3, 0.0))
         score = found.score + self._compass(found.candidates.T12s[:, 2])
         order = _best_first(score, found.candidates.T12s)
         order = order[found.count[order] > 0]
         kept = order[self._distinct(found.candidates.taken(order), self.config.tolerance_m, self.config.max_hypotheses)]
-        partner, seed = scene.in_map_order(found.partner[kept], found.seed[kept])
+        partner, seed = scene.in_map_order(found, kept)
         return Assessed(found.candidates.taken(kept), score[kept], found.count[kept], partner, seed)
 
     def refined(self, candidates: Candidates) -> Assessed:
@@ -315,31 +320,19 @@ def rotation_modes(votes: Array, width: float, limit: int) -> list[float]:
     >>> np.rad2deg(rotation_modes(votes, np.deg2rad(5.0), 9)).round(1).tolist()
     [10.0, 100.5]
     """
-    n = len(votes)
-    step = 2 * np.pi / n
-    reach = max(1, round(width / step))
-    left, modes = votes.astype(float), list[float]()
-    enough = 0.02 * votes.sum()
-    around = np.arange(-reach, reach + 1)
-    near = (np.arange(n)[:, None] + around) % n
-    while len(modes) < limit:
-        within = left[near].sum(axis=1)
-        k = int(np.argmax(within))
-        strongest = within[k]
-        if strongest <= 0 or (modes and left.sum() <= enough):
-            break
-        plateau = float(np.mean((np.flatnonzero(within >= strongest * (1 - 1e-12)) - k + n // 2) % n - n // 2))
-        k = round(k + plateau) % n if abs(plateau) <= reach else k
-        weight = left[near[k]]
-        centre = k + 0.5 + (float(weight @ around / weight.sum()) if weight.sum() else 0.0)
-        modes.append(float(se2.wrap(centre * step)))
-        left[near[k]] = 0.0
-    return modes
+    step = 2 * np.pi / len(votes)
+    centres = kernels().strongest_rotations(votes.astype(float), max(1, round(width / step)), limit)
+    return [float(se2.wrap(centre * step)) for centre in centres.tolist()]
 
 
 def _best_first(score: Array, T12s: Array) -> Indices:
     """Order by score, then by rotation and place, that equal ones have an order whatever the last bits say."""
-    return np.lexsort((*np.round(T12s.T, 6), -np.round(score, 9)))
+    worst_last = -np.round(score, 9)
+    order = np.argsort(worst_last, kind="stable")
+    ordered = worst_last[order]
+    if np.all(ordered[1:] > ordered[:-1]):
+        return order
+    return np.lexsort((*np.round(T12s.T, 6), worst_last))
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,17 +353,11 @@ class _Scene:
         way1, way2 = one.travelled, two.travelled
         self.linear = way1.has_links and way2.has_links
         rate1, rate2 = one.rates[self.linear], two.rates[self.linear]
-        self.side1 = self._side(one, pair.label1, rate1, two)
-        self.side2 = self._side(two, pair.label2, rate2, one)
-        self.by_isolation2 = two.by_isolation
         # neighbours in space are neighbours in memory
         self.sorted = max(len(one), len(two)) > settings.sorted
-        if self.sorted:
-            self.side1 = type(self.side1)(*(frozen(values[one.by_place]) for values in self.side1))
-            self.side2 = type(self.side2)(*(frozen(values[two.by_place]) for values in self.side2))
-            now_at = np.empty(len(two), dtype=np.intp)
-            now_at[two.by_place] = np.arange(len(two))
-            self.by_isolation2 = now_at[two.by_isolation]
+        self.side1 = self._side(one, pair.label1, two)
+        self.side2 = self._side(two, pair.label2, one)
+        self.by_isolation2 = two.isolation_by_place if self.sorted else two.by_isolation
         void = _void(one, two, rate1, rate2, self.linear) * settings.against
         self.seen1, self.seen2 = (self._seen(way, void) for way in (way1, way2))
         least = one.largest_variance + two.largest_variance
@@ -384,25 +371,28 @@ class _Scene:
             settings.least_gain,
             float(np.hypot(max(one.noise.heading_sigma, 1e-3), max(two.noise.heading_sigma, 1e-3))),
         )
-        self.cells = _cells(k, self.side1.xy, self.side1.label, settings.gate * float(np.sqrt(most)))
+        reach = settings.gate * float(np.sqrt(most))
+        shared = pair.label1 is one.label
+        self.cells, self.crowd = one.kept(
+            # codes that the other map has a say in are another index
+            ("cells", reach, self.sorted) if shared else None,
+            lambda: _cells(k, self.side1.values, self.side1.label, reach),
+        )
 
     @property
     def cost(self) -> float:
         """How many landmarks are looked at to assess one candidate once."""
-        crowd = len(self.cells.members) / max(1, int(np.count_nonzero(np.diff(self.cells.start))))
-        return len(self.pair.two) * max(1.0, min(crowd, 256.0) / 3) + len(self.pair.one) / 4
+        return len(self.pair.two) * max(1.0, min(self.crowd, 256.0) / 3) + len(self.pair.one) / 4
 
-    def _side(self, own: LandmarkArrays, label: NDArray[np.int32], rate: Array, other: LandmarkArrays) -> Any:
-        linear = own.armed if self.linear else np.zeros(len(own), dtype=bool)
-        seen_by_other = _by_label(own, other.noise.detection)
-        # off the corridors nobody knows where the other robot looked
-        charged = (linear | (not self.linear)) & self.pair.settings.against
-        miss = np.where(charged, np.log(1 - own.true * np.clip(seen_by_other, 0.01, 0.99)), 0.0)
-        worth = own.log_true - (np.log(rate) / 2)[own.label]
-        return self.pair.kernels.Side(
-            own.xy, own.variance, frozen(label), own.heading, own.open_sectors, own.blocked_sectors,
-            own.near_open, own.near_blocked, frozen(worth), frozen(miss), frozen(linear.astype(np.uint8)),
-        )  # fmt: skip
+    def _side(self, own: LandmarkArrays, label: NDArray[np.int32], other: LandmarkArrays) -> Any:
+        seen_by_other = tuple(other.noise.detection(name) for name in own.labels)
+        faced = own.facing(seen_by_other, self.linear, self.sorted)
+        values = faced.values
+        if not self.pair.settings.against:
+            values = frozen(np.column_stack([values[:, :-1], np.zeros(len(own))]))
+        if self.sorted:
+            label = label[own.by_place]
+        return self.pair.kernels.Side(values, faced.arms, frozen(label), faced.linear)
 
     def _seen(self, way: Travelled, void: float) -> Any:
         step = way.step if self.linear else 2 * way.step * way.width if way.has_links else way.step**2
@@ -411,16 +401,13 @@ class _Scene:
         x, y = way.low.tolist()
         return self.pair.kernels.Seen(x, y, 1 / way.size, way.cells, samples, 0.5 * void * step * every)
 
-    def in_map_order(
-        self, partner: NDArray[np.int32], seed: NDArray[np.int32]
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Places in the maps of `Assessed.partner` and `Assessed.seed` that are in the scene's order."""
+    def in_map_order(self, found: Assessed, kept: Indices) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """`Assessed.partner` and `Assessed.seed` of some of what was found in the scene's order: places in the maps."""
         if not self.sorted:
-            return partner, seed
+            return found.partner[kept], found.seed[kept]
         order1, order2 = self.pair.one.by_place, self.pair.two.by_place
-        out = np.empty_like(partner)
-        out[:, order2] = np.where(partner >= 0, order1[partner], -1)
-        return out, order2[seed].astype(np.int32)
+        partner = self.pair.kernels.in_map_order(found.partner, kept, order1, order2)
+        return partner, order2[found.seed[kept]].astype(np.int32)
 
     def part(self, size: int) -> Part:
         """``size`` of map 2's landmarks, evenly by how far each is from the next: wherever, in whatever order."""
@@ -460,10 +447,6 @@ class _Scene:
         return Assessed(Candidates(T12s, centres), score, count, partner, seed)
 
 
-def _by_label(arrays: LandmarkArrays, rate: Callable[[str], float]) -> Array:
-    return np.array([rate(label) for label in arrays.labels])[arrays.label]
-
-
 def _void(one: LandmarkArrays, two: LandmarkArrays, rate1: Array, rate2: Array, linear: bool) -> float:
     """What a metre of corridor (or a square metre) says [nats] on which both have been."""
     total = 0.0
@@ -477,13 +460,14 @@ def _void(one: LandmarkArrays, two: LandmarkArrays, rate1: Array, rate2: Array, 
     return total
 
 
-def _cells(k: ModuleType, xy: Array, label: NDArray[np.int32], size: float) -> Any:
-    """Points in cells that are at least as large as the widest gate; more than four million cells are never made."""
-    low, high = xy.min(axis=0), xy.max(axis=0)
+def _cells(k: ModuleType, xy: Array, label: NDArray[np.int32], size: float) -> tuple[Any, float]:
+    """Points in cells as large as the widest gate, four million of them at most, and how many an occupied one lists."""
+    low, high = xy[:, :2].min(axis=0), xy[:, :2].max(axis=0)
     extent = high - low
     size = max(size, 1e-6, float(extent.max()) / 4000, float(np.sqrt(extent.prod() / 4_000_000)))
     low = low - 2 * size
     nx, ny = (int(e / size) + 5 for e in extent.tolist())
     layers = int(max(1, min(int(label.max()) + 1, 4_000_000 // (nx * ny))))
     start, members = k.sorted_into_cells(xy, label, 1 / size, nx, ny, layers, float(low[0]), float(low[1]))
-    return k.Cells(float(low[0]), float(low[1]), 1 / size, nx, ny, layers, start, members)
+    crowd = len(members) / max(1, int(np.count_nonzero(np.diff(start))))
+    return k.Cells(float(low[0]), float(low[1]), 1 / size, nx, ny, layers, start, members), crowd

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from mapfuse.matching import explain, propose
 from mapfuse.matching.config import MatchingConfig
 from mapfuse.matching.hypothesis import Correspondences
 from mapfuse.matching.landmark_arrays import landmark_arrays
-from mapfuse.matching.voting import Settings, propose_by_votes
+from mapfuse.matching.voting import Settings, propose_by_votes, rotation_modes
 
 TUNING = (20_011, 20_012, 20_013)
 
@@ -87,6 +88,46 @@ def test_the_truth_is_in_the_list(floors, kind, n):
     assert any(near)
     if n > 20:
         assert near[0]
+
+
+def nearness(pair, T12):
+    """Distance [m] and angle [rad] from the truth, at the middle of the common landmarks."""
+    middle = pair.map2.positions[pair.pairs[:, 1]].mean(axis=0)
+    off = se2.transform(T12, middle) - se2.transform(pair.T12, middle)
+    return np.hypot(*off), abs(se2.wrap(T12[2] - pair.T12[2]))
+
+
+@pytest.mark.parametrize("kind", ["irregular", "oblique"])
+def test_a_robot_with_other_noise_and_one_whose_ways_are_not_known(floors, kind):
+    # map 2 is twice as noisy, and says so; where links are missing, what is near the landmarks counts as travelled
+    for links in (True, False):
+        rng = np.random.default_rng(TUNING[0])
+        pair = floors.pair_of_maps(100, kind, rng, links=links)
+        blurred = tuple(
+            replace(l, x=x, y=y)
+            for l, (x, y) in zip(
+                pair.map2.landmarks,
+                (pair.map2.positions + rng.normal(0, 0.6, (len(pair.map2), 2))).tolist(),
+                strict=True,
+            )
+        )
+        noise = replace(pair.map2.noise, position_sigma=0.7)
+        best = propose(pair.map1, pair.map2.replace(landmarks=blurred, noise=noise))[0]
+        off, turned = nearness(pair, best.T12.array)
+        assert off < 1.0
+        assert turned < np.deg2rad(5)
+
+
+def test_what_should_have_been_seen_and_was_not_counts(floors):
+    # one pitch everywhere and little overlap: shifts by a pitch match more, but lay landmarks where nothing was seen
+    right = {True: 0, False: 0}
+    for seed in range(TUNING[0], TUNING[0] + 25):
+        pair = floors.pair_of_maps(100, "alike", np.random.default_rng(seed), overlap=0.3)
+        for against in right:
+            best = propose_by_votes(pair.map1, pair.map2, settings=Settings(against=against))[0]
+            right[against] += nearness(pair, best.T12.array)[0] < 1.0
+    assert right[True] >= 22
+    assert right[True] >= right[False] + 3
 
 
 def test_maps_bent_by_drift_are_found_by_their_best_part(floors):
@@ -285,3 +326,22 @@ def test_each_hypothesis_can_say_why_it_was_proposed(mode):
         assert all(f"{a}={b}" in h.explanation for a, b in h.seed)
         assert ("(H2)" in h.explanation) == (mode == "paper")
         assert f"; {h.count} landmark" in h.explanation
+
+
+def test_the_compiled_rotation_modes_are_those_of_the_definition():
+    # the same peaks found slowly: the fullest window, its plateau's middle, its votes removed, until 98 % are gone
+    rng = np.random.default_rng(3)
+    for width in (0.05, 0.12):
+        votes = np.floor(200 * np.exp(-0.5 * (np.arange(180) % 45 - 20) ** 2 / 4.0)) + rng.integers(0, 4, 180)
+        reach, left, expected = max(1, round(width / (2 * np.pi / 180))), votes.copy(), []
+        window = np.arange(-reach, reach + 1)
+        while len(expected) < 6 and (not expected or left.sum() > 0.02 * votes.sum()):
+            within = np.array([left[(k + window) % 180].sum() for k in range(180)])
+            k = int(np.argmax(within))
+            equal = (np.flatnonzero(within == within[k]) - k + 90) % 180 - 90
+            if abs(equal.mean()) <= reach:
+                k = round(k + equal.mean()) % 180
+            weight = left[(k + window) % 180]
+            expected.append(float(se2.wrap((k + 0.5 + weight @ window / weight.sum()) * 2 * np.pi / 180)))
+            left[(k + window) % 180] = 0
+        np.testing.assert_allclose(rotation_modes(votes, width, 6), expected, atol=1e-12)
