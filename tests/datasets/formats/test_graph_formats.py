@@ -244,7 +244,6 @@ def test_rmf_pixels_become_metres_with_y_up(tmp_path):
     np.testing.assert_allclose(map_.walls[0], [[0, 0], [0, -22]])
     assert reading.remarks == (
         "level L1: measurements differ by 18 %: their mean is taken, 0.1100 m per pixel",
-        "level L1: 1 lanes: left out",
         "1 lifts: left out",
     )
 
@@ -262,6 +261,7 @@ def test_rmf_in_metres_keeps_its_axes(tmp_path):
         ("levels: {L: {vertices: [[1, 2, 0, a]], walls: [[0, 1, {}]]}}", r"levels\.L\.walls\[0\]: must begin with two"),
         ("levels: {L: {vertices: [[1, x, 0, a]]}}", r"levels\.L\.vertices\[0\]\[1\]: must be a finite number"),
         ("levels: {L: {vertices: [[1, .inf, 0, a]]}}", r"vertices\[0\]\[1\]: must be a finite number, not Infinity"),
+        ("levels: {L: {vertices: [[1, 2, 0, a]], lanes: [[0, 7, {}]]}}", r"levels\.L\.lanes\[0\]: must begin with two"),
         ("levels: [1]", "levels: must be an object, not a list"),
         ("coordinate_system: wgs84\nlevels: {L: {vertices: []}}", "is wgs84: degrees"),
     ],
