@@ -91,9 +91,10 @@ class Weighed:
     def alike(self) -> float:
         """Log odds of seeing this on another floor of the same plan against on the same floor [nats].
 
-        Arms and compass don't tell such floors apart; what is known of the two maps is wrong on another floor.
+        Arms and compass don't tell such floors apart. What is known of the two maps speaks against another floor where
+        this placement agrees with it; where it doesn't, it is as wrong on either.
         """
-        return another_floor(self.lacking) - self.terms.known - self.terms.stated
+        return another_floor(self.lacking) - self.terms.known - max(self.terms.stated, 0.0)
 
 
 def _normal_log(x: float, variance: float) -> float:
