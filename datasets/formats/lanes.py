@@ -14,13 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .graphs import Way
+from .graphs import BENT, Way
 from .reading import counted
 
 Array = NDArray[np.float64]
 
 #: Beyond so many landmarks the lanes of a level are left out: time grows by their third power.
 MAX_LANDMARKS = 1000
+#: Lanes that are longer than the straight line by this share and this [m] (doors are passed beside their middle) bend.
+DETOUR_SHARE, DETOUR_M = 0.01, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +39,8 @@ def lane_ways(
 ) -> tuple[list[Way], tuple[str, ...]]:
     """Ways between landmarks, and remarks; ``ids``: of ``doors`` (m, 2, 2) [m], then of the ``named`` vertices.
 
-    A lane comes by a door where it crosses its line. ``vertices`` (n, 2) [m].
+    A lane comes by a door where it crosses its line. ``vertices`` (n, 2) [m]. Ways that aren't straight are marked
+    `BENT` in their ``extra``.
 
     >>> xy = np.array([[0.0, 0.0], [3.0, 0.0], [9.0, 0.0]])
     >>> door = np.array([[[5.0, -1.0], [5.0, 1.0]]])
@@ -50,10 +53,15 @@ def lane_ways(
     if len(ids) > MAX_LANDMARKS:
         return [], counted({"lanes": len(lanes)}, f"left out, of a level with more than {MAX_LANDMARKS:,} landmarks")
     apart = _distances(len(ids), doors, named, vertices, lanes)
+    at = np.concatenate([doors.mean(axis=1), vertices[list(named)]])
     ways = []
     for a, row in enumerate(apart):
         between = np.minimum.reduce(np.maximum(row[:, None], apart), axis=0)
-        ways += [Way(ids[a], ids[b]) for b in np.flatnonzero(np.isfinite(row) & (between >= row)).tolist()]
+        straight = np.hypot(*(at - at[a]).T) * (1 + DETOUR_SHARE) + DETOUR_M
+        ways += [
+            Way(ids[a], ids[b], extra={BENT: True} if row[b] > straight[b] else {})
+            for b in np.flatnonzero(np.isfinite(row) & (between >= row)).tolist()
+        ]
     return ways, ()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapfuse.datasets.errors import ConfigError, InputError
-from mapfuse.datasets.formats import read_all, read_any
+from mapfuse.datasets.formats import read_all, read_any, write_any
 from mapfuse.datasets.formats.lanes import MAX_LANDMARKS, Lane, lane_ways
 from mapfuse.datasets.simulation import building_from_plan
 
@@ -43,6 +43,18 @@ def test_doors_stand_on_the_lanes_that_cross_them_in_the_order_of_the_lane():
     found = joined(["far", "near", "beside", "a", "b"], [Lane(0, 1)], [(0, 0), (8, 0)], [0, 1], doors)
     one_way = {("a", "near"), ("near", "far"), ("far", "b")}
     assert found == one_way | {(end, start) for start, end in one_way}
+
+
+def test_ways_round_a_corner_are_marked_and_written_so(tmp_path):
+    map_ = read_any(building(tmp_path))[0]
+    # from the dock to the desk the lanes go round the corner of the L
+    assert [link.extra for link in map_["dock"].links] == [{"bent": True}]
+    write_any(map_, tmp_path / "house.geojson")
+    features = json.loads((tmp_path / "house.geojson").read_text())["features"]
+    edges = [f["properties"] for f in features if "startid" in f["properties"]]
+    assert [edge["metadata"] for edge in edges] == [{"mapfuse_bent": True}] * 2
+    ways, _ = lane_ways("ab", NO_DOORS, [0, 1], np.array([[0.0, 0.0], [4.0, 3.0]]), [Lane(0, 1)])
+    assert [way.extra for way in ways] == [{}, {}]
 
 
 def test_places_at_one_spot_are_joined():
