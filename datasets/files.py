@@ -29,9 +29,14 @@ def read_whole(path: str | Path, limit: int = MAX_FILE_BYTES) -> bytes:
     with open_stream(path) as file:
         try:
             found = os.fstat(file.fileno())
-            if stat.S_ISREG(found.st_mode) and found.st_size > limit:
+            plain = stat.S_ISREG(found.st_mode)
+            if plain and found.st_size > limit:
                 raise InputError(path, f"is larger than {limit:,} bytes, the most that is read")
-            data = file.read(limit + 1)
+            # room is made for as much as is asked for
+            size = found.st_size if plain else limit
+            data = file.read(size + 1)
+            if size < len(data) <= limit:  # it has grown meanwhile
+                data += file.read(limit + 1 - len(data))
         except OSError as error:
             raise unreadable(path, error) from error
     if len(data) > limit:

@@ -79,6 +79,8 @@ SENSORS = Sensors(
     false_alarm_rate=0.02,
 )
 
+#: The latest time [s] that a line may say (the year 5138), and the largest other value.
+MAX_TIME_S, MAX_VALUE = 1e11, 1e9
 _COLUMNS = {"Odometry": 3, "Measurement": 4, "Groundtruth": 4}
 
 
@@ -150,7 +152,11 @@ def _table(path: Path, columns: int) -> Array:
     """Rows of finite numbers; lines that begin with # are comments."""
     rows: list[list[float]] = []
     problems: list[Problem] = []
-    text = read_whole(path).decode("ascii", errors="replace")
+    try:
+        text = read_whole(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        reason = f"is not UTF-8 text: a byte 0x{error.object[error.start]:02x} at position {error.start}"
+        raise FileFormatError(path, (Problem("", reason),)) from None
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split()
         if not words or words[0].startswith("#"):
@@ -161,6 +167,9 @@ def _table(path: Path, columns: int) -> Array:
             row = []
         if len(row) != columns or not np.isfinite(sum(row)):
             problems.append(Problem(f"line {number}", f"must be {columns} finite numbers"))
+        elif not 0 <= row[0] <= MAX_TIME_S or max(map(abs, row[1:])) > MAX_VALUE:
+            reason = f"must begin with 0 to {MAX_TIME_S:.0e}, and the rest be at most {MAX_VALUE:.0e}"
+            problems.append(Problem(f"line {number}", reason))
         else:
             rows.append(row)
     if problems:

@@ -68,6 +68,7 @@ class EvidenceConfig:
     ``look_elsewhere`` [nats]: taken off for each hypothesis, since many are tried.
     ``repetition_rate``: probability that a building repeats itself in a way that two hypotheses fit.
     ``repetition_odds`` [nats]: log odds that a wrong hypothesis may reach by chance where nothing repeats.
+    ``alike_rate``: probability that maps which share nothing show two floors of one plan, alike but for some landmarks.
     """
 
     corridor_width_m: float = 1.0
@@ -76,6 +77,7 @@ class EvidenceConfig:
     look_elsewhere: float = 3.0
     repetition_rate: float = 0.05
     repetition_odds: float = 3.0
+    alike_rate: float = 0.001
 
     def __post_init__(self) -> None:
         _check(
@@ -88,6 +90,7 @@ class EvidenceConfig:
                 "look_elsewhere": (-50, 100),
                 "repetition_rate": (0, 1),
                 "repetition_odds": (-50, 50),
+                "alike_rate": (0, 1),
             },
         )
 

@@ -17,13 +17,15 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """Hypotheses best first with their probabilities (k,), what they weigh (k,) [nats] (`log_weights`), the
-    probability of no overlap, and the decision."""
+    probability of no overlap, and the decision. ``alike`` [nats]: what no overlap weighs more because the maps may
+    show two floors of one plan (`log_alike`); the weights have it taken off."""
 
     ranked: tuple[Weighed, ...]
     probabilities: Array
     weights: Array
     no_overlap: float
     decision: PairDecision
+    alike: float = 0.0
 
 
 def log_weights(log_odds: Array, alias: Array, evidence: EvidenceConfig) -> Array:
@@ -52,6 +54,23 @@ def log_weights(log_odds: Array, alias: Array, evidence: EvidenceConfig) -> Arra
     return np.asarray(weights)
 
 
+def log_alike(log_odds: Array, alike: Array, evidence: EvidenceConfig) -> float:
+    """What "no overlap" weighs more [nats], since the maps may show two floors that were built to one plan.
+
+    Such floors agree as one floor does: what agrees says nothing then, and what is missing all. ``alike`` (k,) [nats]:
+    the odds of what each hypothesis shows on another floor against on the same one (docs/evidence.md, "Another floor
+    of one plan").
+
+    >>> odds = np.array([40.0])
+    >>> round(log_alike(odds, np.array([7.0]), EvidenceConfig(alike_rate=0.5)) - 40.0, 3)  # 7 + log 0.5
+    6.307
+    """
+    if not len(log_odds):
+        return 0.0
+    rate = min(max(evidence.alike_rate, 1e-300), 1 - 1e-12)
+    return float(np.logaddexp.reduce([np.log1p(-rate), *(np.log(rate) + log_odds + alike)]))
+
+
 def probabilities(weights: Array, overlap_prior: float) -> Array:
     """Probabilities of hypotheses that weigh so much (`log_weights`) and, last, of no overlap: (k + 1,)."""
     none = float(np.log1p(-overlap_prior) - np.log(overlap_prior))
@@ -69,6 +88,8 @@ def decide(weighed: list[Weighed], alias: Array, evidence: EvidenceConfig, confi
     """The verdict over all weighed hypotheses of one pair of maps; ``alias`` as in `log_weights`."""
     odds = np.array([w.log_odds for w in weighed])
     weights = log_weights(odds, alias, evidence)
+    other_floor = log_alike(odds, np.array([w.alike for w in weighed]), evidence)
+    weights = weights - other_floor
     everything = probabilities(weights, config.overlap_prior)
     order = np.lexsort((-odds, -everything[:-1])) if len(odds) else np.zeros(0, dtype=np.intp)
     ranked = tuple(weighed[k] for k in order)
@@ -80,4 +101,4 @@ def decide(weighed: list[Weighed], alias: Array, evidence: EvidenceConfig, confi
         decision = "no_overlap"
     else:
         decision = "ambiguous"
-    return Verdict(ranked, ordered, weights[order], none, decision)
+    return Verdict(ranked, ordered, weights[order], none, decision, other_floor)

@@ -18,7 +18,7 @@ from .config import EvidenceConfig
 from .growth import Growth
 from .passing import emptiness, passing_at, per_arm
 from .prepared import PreparedMap
-from .repetition import alias, lacking_odds
+from .repetition import alias, another_floor, lacking_odds
 
 Array = NDArray[np.float64]
 
@@ -89,6 +89,15 @@ class Weighed:
         """Log odds of seeing this at an image of the right place against at the right place itself [nats], given what
         the maps say of such images (`mapfuse.fusion.repetition.alias`)."""
         return alias(self.lacking, of_building) - self.apart
+
+    @property
+    def alike(self) -> float:
+        """Log odds of seeing this on another floor of the same plan against on the same floor [nats].
+
+        Arms and compass don't tell such floors apart. What is known of the two maps speaks against another floor where
+        this placement agrees with it; where it doesn't, it is as wrong on either.
+        """
+        return another_floor(self.lacking) - self.terms.known - max(self.terms.stated, 0.0)
 
 
 def _normal_log(x: float, variance: float) -> float:

@@ -35,7 +35,9 @@ def _open(verdict: Verdict) -> str:
     placements = f"{possible} placements are possible" if possible != 1 else "one placement is possible"
     if verdict.no_overlap < POSSIBLE:
         return placements
-    return f"{placements}, and no overlap has {verdict.no_overlap:.3f}"
+    # half of what "no overlap" weighs
+    floor = ", as on two floors built to one plan" if verdict.alike > math.log(2) else ""
+    return f"{placements}, and no overlap has {verdict.no_overlap:.3f}{floor}"
 
 
 def _listed(names: list[str]) -> str:

@@ -58,6 +58,19 @@ def alias(odds: Array, of_building: Array | None = None) -> float:
     return float(np.logaddexp.reduce(np.log(LACKING_PRIOR) + odds + known))
 
 
+def another_floor(odds: Array) -> float:
+    """log odds of seeing what was seen on another floor of the same plan against on the same floor [nats].
+
+    ``odds``: `lacking_odds`. Such a floor lacks some of the landmarks: one that lacked nothing could be told from this
+    one by no map.
+
+    >>> q = np.full(40, 0.9)  # of 40 landmarks that nine in ten times are recorded, some aren't
+    >>> [round(another_floor(lacking_odds(q[k:], q[:k])), 1) for k in (0, 4, 12)]
+    [-5.8, -2.8, 4.4]
+    """
+    return float(np.logaddexp.reduce(np.log(LACKING_PRIOR[1:] / LACKING_PRIOR[1:].sum()) + odds[1:]))
+
+
 @dataclass(frozen=True, eq=False)
 class SelfMatch:
     """One map, to be matched with itself; ``background``: of the map and itself."""

@@ -21,6 +21,8 @@ from .reading import remark
 
 #: Key of a landmark's ``extra``: ways beyond its links, each with ``to`` and what the file says of it.
 WAYS = "ways"
+#: Key of a link's ``extra``: true of ways that lead round a corner between their ends.
+BENT = "bent"
 #: What a node is where nobody says it.
 WAYPOINT = "waypoint"
 #: Nodes nearer than this are at the same place [m].

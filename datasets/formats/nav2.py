@@ -21,6 +21,7 @@ from ..jsondata import decode, encode
 from ..maps import Landmark, LandmarkMap
 from .checks import Checker
 from .gis import LOCAL_CRS
+from .graphs import BENT as WAY_BENT
 from .graphs import WAYPOINT, WAYS, Node, Way, graph_map, ways_of
 from .heads import plain_name, read_bytes, stem
 from .reading import Reading, remark
@@ -157,8 +158,10 @@ def write(map_: LandmarkMap, path: Path) -> None:
 
 
 def _bent(map_: LandmarkMap, start: str, end: str) -> bool:
-    """Whether a robot went round a corner that it did not record: an arm at either end points elsewhere."""
+    """Whether a way leads round a corner where no landmark is: it says so, or an arm at either end points elsewhere."""
     for a, b in ((start, end), (end, start)):
+        if any(link.extra.get(WAY_BENT) is True for link in map_[a].links if link.connected_to_id == b):
+            return True
         step = map_[b].x - map_[a].x, map_[b].y - map_[a].y
         headings = [link.heading for link in map_[a].links if link.connected_to_id == b and link.heading is not None]
         if math.hypot(*step) > 1 and any(abs(wrap(math.atan2(step[1], step[0]) - h)) > BENT for h in headings):

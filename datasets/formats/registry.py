@@ -155,7 +155,16 @@ FORMATS: tuple[Format, ...] = (
             "agreement": "share of looks that must find a landmark",
         },
     ),
-    Format("rmf", "Open-RMF building", (".building.yaml",), "rmf", several=True),
+    Format(
+        "rmf",
+        "Open-RMF building",
+        (".building.yaml",),
+        "rmf",
+        options={
+            "landmarks": "named: doors and named vertices (default); lanes: corners, junctions, doors along the lanes"
+        },
+        several=True,
+    ),
     Format(
         "tmap2",
         "LCAS and STRANDS topological map",

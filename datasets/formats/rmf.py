@@ -1,27 +1,36 @@
-"""Buildings of Open-RMF's traffic editor (``building.yaml``): doors and named vertices as landmarks, walls as walls.
+"""Buildings of Open-RMF's traffic editor (``building.yaml``): doors and named vertices as landmarks, lanes as ways.
 
 Positions are pixels of a floor plan, x to the right and y down; ``measurements`` say how many metres are between two
 vertices, which gives the level's scale. Here x stays and y is turned round, so that the frame is right-handed with its
 origin at the plan's upper left corner; that is what Open-RMF's own tools do. Buildings in ``cartesian_meters`` are
-metres with y up already. A door is where its middle is; its name is its id. Each level is a map of its own.
+metres with y up already. A door is where its middle is; its name is its id. Each level is a map of its own, and a plan
+that robots can be driven through (`level_plan`): lanes are its corridors.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..maps import Landmark, LandmarkMap
+from ..errors import ConfigError, InputError
 from . import safeyaml
 from .checks import Checker
-from .graphs import unique_names
+from .graphs import Node, graph_map, unique_names
 from .heads import plain_name, stem
+from .lanes import Lane, lane_ways
 from .reading import Reading, counted, remark
+
+if TYPE_CHECKING:
+    from ..maps import LandmarkMap
+    from ..simulation.plan import Plan
+
+Array = NDArray[np.float64]
 
 #: Metres per pixel that Open-RMF takes where a level has no measurement.
 DEFAULT_SCALE = 0.05
@@ -29,19 +38,103 @@ DEFAULT_SCALE = 0.05
 SCALE_TOLERANCE = 0.02
 _LEVELS = re.compile(rb"(?m)^levels:")
 _TYPES = (("is_charger", "charger"), ("is_parking_spot", "parking"), ("is_holding_point", "holding point"))
-_LEFT_OUT = ("lanes", "floors", "models", "fiducials", "human_lanes", "layers", "features")
+_LEFT_OUT = ("floors", "models", "fiducials", "human_lanes", "layers", "features")
+
+
+def is_named_so(path: Path) -> bool:
+    """Whether a file is a building by its name."""
+    return plain_name(path).endswith((".building.yaml", ".building.yml"))
 
 
 def detect(path: Path, head: bytes) -> bool:
     """YAML whose name says so, or with levels that have vertices."""
     name = plain_name(path)
-    if name.endswith((".building.yaml", ".building.yml")):
-        return True
-    return name.endswith((".yaml", ".yml")) and _LEVELS.search(head) is not None and b"vertices:" in head
+    by_content = _LEVELS.search(head) is not None and b"vertices:" in head
+    return is_named_so(path) or (name.endswith((".yaml", ".yml")) and by_content)
 
 
-def read(path: Path, part: str | None = None) -> Reading:
-    """A map of each level, or of the level ``part`` alone."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Level:
+    """One level in metres: where its vertices are (n, 2), which of them have a name (its place, name, type), doors
+    (m, 2, 2) and their names, walls (w, 2, 2), lanes between vertices; ``remarks`` on what is odd or left out."""
+
+    name: str
+    part: str
+    vertices: Array
+    named: tuple[tuple[int, str, str], ...]
+    doors: Array
+    door_names: tuple[str, ...]
+    walls: Array
+    lanes: tuple[Lane, ...]
+    remarks: tuple[str, ...]
+
+
+def read(path: Path, part: str | None = None, landmarks: str = "named") -> Reading:
+    """A map of each level, or of the level ``part`` alone.
+
+    ``landmarks``: ``named`` (doors and named vertices, with the lanes as ways) or ``lanes`` (the corners, junctions
+    and doors along the lanes, as a robot finds them).
+    """
+    if landmarks not in ("named", "lanes"):
+        raise ConfigError(f"{path}: option landmarks must be named or lanes, not {landmarks!r}")
+    levels, left = read_levels(path, part)
+    maps, remarks = [], []
+    for level in levels:
+        map_, odd = _named_map(level) if landmarks == "named" else _lanes_map(level, path)
+        maps.append(map_)
+        remarks += [f"level {level.part}: {text}" for text in (*level.remarks, *odd)]
+    return Reading(tuple(maps), (*remarks, *left), tuple(level.part for level in levels))
+
+
+def level_plan(path: Path, part: str | None = None) -> Plan:
+    """A level (``part``, or the only one) as a plan for robots to drive through; its lanes are the corridors.
+
+    Raises `InputError` where there are several levels, and what `read` does.
+    """
+    levels, _ = read_levels(path, part)
+    if len(levels) != 1:
+        told = ", ".join(level.part for level in levels)
+        raise InputError(path, f"holds {len(levels)} levels ({told}); name one as {path}#{levels[0].part}")
+    return _plan(levels[0])
+
+
+def _plan(level: Level) -> Plan:
+    from ..simulation.plan import Plan
+
+    lines = tuple(level.vertices[[lane.start, lane.end]] for lane in level.lanes)
+    lines = tuple(line for line in lines if (line[0] != line[1]).any())
+    return Plan(level.name, lines, level.walls, level.doors, level.doors, np.arange(len(level.doors)))
+
+
+def _lanes_map(level: Level, path: Path) -> tuple[LandmarkMap, tuple[str, ...]]:
+    from ..extract.planmap import map_of_floor, polylines
+    from ..simulation.plan import building_of
+
+    building = building_of(_plan(level), path, f"levels.{level.part}", steel_sigma=0.0)
+    return map_of_floor(building.floor, polylines(building.walls)), ()
+
+
+def _named_map(level: Level) -> tuple[LandmarkMap, tuple[str, ...]]:
+    middles = level.doors.mean(axis=1)
+    told = [(name, "door", at) for name, at in zip(level.door_names, middles, strict=True)]
+    told += [(name, type_, level.vertices[k]) for k, name, type_ in level.named]
+    ids, renamed = unique_names([name for name, _, _ in told])
+    nodes = [
+        Node(identifier, float(at[0]), float(at[1]), type=type_)
+        for identifier, (_, type_, at) in zip(ids, told, strict=True)
+    ]
+    ways, odd = lane_ways(ids, level.doors, [k for k, _, _ in level.named], level.vertices, level.lanes)
+    map_, more = graph_map(level.name, nodes, ways)
+    walls = tuple(wall for wall in level.walls if (wall[0] != wall[1]).any())
+    remarks = (*remark(renamed, "names that stand more than once", "numbered"), *odd, *more)
+    return map_.replace(walls=walls), remarks
+
+
+def read_levels(path: Path, part: str | None = None) -> tuple[tuple[Level, ...], tuple[str, ...]]:
+    """All levels of a building, or ``part`` alone, and what was left out of the building itself.
+
+    Raises `InputError` for a level that isn't there, `FileFormatError` for a file that breaks the rules.
+    """
     check = Checker(path)
     document = check.mapping(safeyaml.load(path), "")
     check.done()
@@ -54,23 +147,17 @@ def read(path: Path, part: str | None = None) -> Reading:
     pixels = document.get("coordinate_system", "reference_image") == "reference_image"
     if document.get("coordinate_system") == "wgs84":
         check.fault("coordinate_system", "is wgs84: degrees, which aren't read")
-    maps, remarks, parts = [], [], []
+    found = []
     for key, record in levels.items():
         if part is None or key == part:
             level = check.mapping(record, f"levels.{key}")
-            map_, more = _level(f"{name}-{key}", level, f"levels.{key}", pixels, check)
-            maps.append(map_)
-            parts.append(str(key))
-            remarks += [f"level {key}: {text}" for text in more]
+            found.append(_level(name, str(key), level, f"levels.{key}", pixels, check))
     check.done()
     lifts = document.get("lifts")
-    remarks += counted({"lifts": len(lifts) if isinstance(lifts, (Mapping, list)) else 0}, "left out")
-    return Reading(tuple(maps), tuple(remarks), tuple(parts))
+    return tuple(found), counted({"lifts": len(lifts) if isinstance(lifts, (Mapping, list)) else 0}, "left out")
 
 
-def _level(
-    name: str, level: Mapping[str, Any], place: str, pixels: bool, check: Checker
-) -> tuple[LandmarkMap, Sequence[str]]:
+def _level(name: str, part: str, level: Mapping[str, Any], place: str, pixels: bool, check: Checker) -> Level:
     vertices = [
         _vertex(v, f"{place}.vertices[{k}]", check)
         for k, v in enumerate(check.items(level.get("vertices", []), f"{place}.vertices"))
@@ -78,23 +165,23 @@ def _level(
     raw = np.array([v[0] for v in vertices], dtype=float).reshape(-1, 2)
     scale, remarks = _scale(level, raw, place, check) if pixels else (1.0, ())
     xy = raw * (scale, -scale if pixels else scale)
-    doors, walls = (_pairs(level, key, len(xy), place, check) for key in ("doors", "walls"))
-    landmarks = [
-        (_door_name(record, k), "door", xy[[a, b]].mean(axis=0)) for k, (a, b, record) in enumerate(doors, start=1)
-    ]
-    landmarks += [(text, type_, xy[k]) for k, (_, text, type_) in enumerate(vertices) if text]
-    ids, renamed = unique_names([text for text, _, _ in landmarks])
+    doors, walls, lanes = (_pairs(level, key, len(xy), place, check) for key in ("doors", "walls", "lanes"))
     left = {key: len(level[key]) for key in _LEFT_OUT if isinstance(level.get(key), (list, Mapping))}
-    remarks = (
-        *remarks,
-        *remark(renamed, "names that stand more than once", "numbered"),
-        *counted(left, "left out"),
+    return Level(
+        name=f"{name}-{part}",
+        part=part,
+        vertices=xy,
+        named=tuple((k, text, type_) for k, (_, text, type_) in enumerate(vertices) if text),
+        doors=_segments(xy, doors),
+        door_names=tuple(_door_name(record, k) for k, (_, _, record) in enumerate(doors, start=1)),
+        walls=_segments(xy, walls),
+        lanes=tuple(Lane(a, b, _value(record.get("bidirectional")) is True) for a, b, record in lanes),
+        remarks=(*remarks, *counted(left, "left out")),
     )
-    found = tuple(
-        Landmark(identifier, type_, float(at[0]), float(at[1]))
-        for identifier, (_, type_, at) in zip(ids, landmarks, strict=True)
-    )
-    return LandmarkMap(name, found, walls=tuple(xy[[a, b]] for a, b, _ in walls if a != b)), remarks
+
+
+def _segments(xy: Array, pairs: Sequence[tuple[int, int, Any]]) -> Array:
+    return np.asarray(xy[np.array([pair[:2] for pair in pairs], dtype=np.intp).reshape(-1, 2)])
 
 
 def _vertex(record: Any, place: str, check: Checker) -> tuple[tuple[float, float], str, str]:

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se2
-from ..errors import FileFormatError, Problem, TooLargeError
+from ..errors import FileFormatError, InputError, Problem, TooLargeError
 from ..files import read_whole
 from ..jsondata import decode, render, said
 from ..values import frozen_array
@@ -114,26 +114,60 @@ def building_from_plan(
     """The building that a vector plan shows; the module's text says what is read of the file.
 
     ``corridors``: a second file of the same floor, whose features are read as if they stood in the first. x points
-    East and y North from the middle of a plan in longitude and latitude. Steel, which no plan shows, is drawn as in
-    `build`. Of the corridors the largest connected part is used.
+    East and y North from the middle of a plan in longitude and latitude. ``path`` may be a building of Open-RMF
+    (``*.building.yaml``, or ``*.building.yaml#LEVEL``), whose lanes are the corridors (`formats.rmf`). Steel, which no
+    plan shows, is drawn as in `build`. Of the corridors the largest connected part is used.
 
     Raises `InputError` for a file that can't be read, `FileFormatError` (file, place, reason) for one that breaks the
     rules or has neither corridors nor anything to find them by.
     """
+    found, part = _of_rmf(path)
+    if found is not None:
+        from ..formats.rmf import level_plan
+
+        if corridors is not None:
+            raise InputError(path, "is a building whose lanes are its corridors: a second file with some isn't read")
+        plan = level_plan(found, part)
+    else:
+        plan = read_plan(path, corridors)
+    return building_of(plan, path, steel_sigma=steel_sigma, steel_length=steel_length, seed=seed)
+
+
+def _of_rmf(path: str | Path) -> tuple[Path | None, str | None]:
+    """The file of an Open-RMF building and the level that is wanted of it (``FILE#LEVEL``); None for other files."""
+    from ..formats.registry import split_part
+    from ..formats.rmf import is_named_so
+
+    file, part = split_part(path)
+    return (file, part) if is_named_so(file) else (None, None)
+
+
+def building_of(
+    plan: Plan,
+    path: str | Path,
+    place: str = "features",
+    *,
+    steel_sigma: float = 0.15,
+    steel_length: float = 4.0,
+    seed: int | np.random.Generator = 0,
+) -> Building:
+    """The building that a plan shows; ``path`` and ``place`` of the plan's file are for errors. Steel as in `build`.
+
+    Raises `FileFormatError` where it has neither corridors nor anything to find them by.
+    """
     # imported here because the extraction uses the corridor graph of this folder
     from ..extract.plangrid import plan_lines
 
-    plan = read_plan(path, corridors)
     try:
         lines = plan.lines or plan_lines(plan.walls, plan.doors, plan.leaves, plan.door_of_leaf)
         closed = _closed(plan.doors, lines)
         walls = np.concatenate([plan.walls, plan.leaves[closed[plan.door_of_leaf]]])
         nodes, edges = corridor_graph(lines, walls)
     except TooLargeError as error:
-        raise FileFormatError(path, (Problem("features", f"hold {error}"),)) from None
+        raise FileFormatError(path, (Problem(place, f"hold {error}"),)) from None
     if not edges:
         reason = "hold no corridor, and no walls that one could be found between"
-        raise FileFormatError(path, (Problem("features", reason),))
+        raise FileFormatError(path, (Problem(place, reason),))
     width = plan.width or _width(nodes, edges, walls)
     floor = replace(_floor(plan.name, nodes, edges, plan.doors[closed], walls, plan.north), width=width)
     built = build(floor, steel_sigma=steel_sigma, steel_length=steel_length, seed=seed)

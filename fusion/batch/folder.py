@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -21,13 +22,16 @@ ENDING = ".map.json"
 
 
 def read_folder(
-    folder: Path, without: Path | None = None, told: Mapping[str, str] | None = None
+    folder: Path,
+    without: Path | None = None,
+    told: Mapping[str, str] | None = None,
+    taken: Counter[str] | None = None,
 ) -> Iterator[tuple[str, LandmarkMap | str]]:
     """Every map in a folder and below, by path in it (``FILE#PART`` for one of several), or why it can't be read.
 
     Maps are what `mapfuse.datasets.formats` reads; a file that is none of these is passed over. ``without``: a folder
     that isn't looked into, the run's own; runs of others aren't either. ``told``: options of formats, each for the
-    files of those formats that have it.
+    files of those formats that have it. ``taken``: counts the files of each format as they are read.
 
     Raises `InputError` where there is no such folder, `ConfigError` for an option that no format has.
     """
@@ -35,6 +39,8 @@ def read_folder(
         raise InputError(folder, "is no folder" if folder.exists() else "there is no such folder")
     check_options(told or {})
     for path, found in _files(folder, None if without is None else without.resolve()):
+        if taken is not None and isinstance(found, Format):
+            taken[found.name] += 1
         for part, read in _read(path, found, told or {}):
             yield str(path.relative_to(folder)) + part, read
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from mapfuse.datasets.errors import ConfigError, OutputError
@@ -24,7 +24,8 @@ SUMMARY = "summary.json"
 @dataclass(frozen=True, slots=True)
 class Summary:
     """What came of a run: ``maps`` read, ``unreadable`` files, ``pairs`` tried of ``all_pairs``, those that failed,
-    ``groups`` of several maps, ``grouped`` maps in them, groups that failed; ``problems``: every failure's reason."""
+    ``groups`` of several maps, ``grouped`` maps in them, groups that failed; ``problems``: every failure's reason;
+    ``taken``: how many files were taken for each format, by its name."""
 
     maps: int
     unreadable: int
@@ -35,6 +36,7 @@ class Summary:
     grouped: int
     failed_groups: int
     problems: tuple[str, ...] = ()
+    taken: Mapping[str, int] = field(default_factory=dict, hash=False)
 
     @property
     def flawless(self) -> bool:
@@ -134,4 +136,5 @@ def _summary(batch: Batch) -> Summary:
         grouped=sum(len(group.names) for group in batch.groups),
         failed_groups=len(unsolved),
         problems=tuple(batch.problems),
+        taken=dict(sorted(batch.taken.items())),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
@@ -62,7 +63,8 @@ def unwatched(_label: str, _total: float | None) -> AbstractContextManager[Calla
 class Batch:
     """One run at work: its steps, to be called in order, and what they found.
 
-    ``file_from_name``: every map; ``unreadable``: (file, reason); ``groups``: those of several maps; ``problems``:
+    ``taken``: files of each format; ``file_from_name``: every map; ``unreadable``: (file, reason); ``groups``: those of
+    several maps; ``problems``:
     whatever failed, with its reason.
     """
 
@@ -71,6 +73,7 @@ class Batch:
     ) -> None:
         self.folder, self.run, self.config, self.engine = folder, run, config, engine
         self.ledger, self.watch = ledger, watch
+        self.taken: Counter[str] = Counter()
         self.file_from_name: dict[str, str] = {}
         self.unreadable: list[tuple[str, str]] = []
         self.groups: list[Solved] = []
@@ -88,7 +91,7 @@ class Batch:
         index, left_out = MapIndex(), dict.fromkeys(without, False)
         files: list[tuple[str, str | None, str | None]] = []
         with self.watch("reading maps", None) as advance:
-            for path, read in read_folder(self.folder, self.run, told):
+            for path, read in read_folder(self.folder, self.run, told, self.taken):
                 advance(1)
                 if isinstance(read, LandmarkMap) and read.name in left_out:
                     left_out[read.name] = True

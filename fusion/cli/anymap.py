@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,6 +50,18 @@ def taken_for(found: Format, reading: Reading) -> str:
     several = f", {len(reading.maps)} maps ({', '.join(reading.parts)})" if len(reading.maps) != 1 else ""
     landmarks = sum(map(len, reading.maps))
     return f"taken for: {found.title} ({found.name}){several}, {landmarks} landmark{'' if landmarks == 1 else 's'}"
+
+
+def files_taken_for(taken: Mapping[str, int]) -> str:
+    """What the files of a folder were taken for, on one line; ``taken``: how many for each format, by its name.
+
+    >>> files_taken_for({"g2o": 2, "map": 5})
+    "files taken: 2 for g2o graph with landmarks (g2o), 5 for mapfuse's own recorded map (map)"
+    """
+    from mapfuse.datasets.formats.registry import named
+
+    listed = [f"{count} for {named(name).title} ({name})" for name, count in taken.items()]
+    return f"files taken: {', '.join(listed)}"
 
 
 def read_maps(paths: Sequence[Path], given: dict[str, str] | None = None, *, quiet: bool = False) -> list[LandmarkMap]:

@@ -95,6 +95,8 @@ def batch(
         from mapfuse.fusion.report import batch_report
 
         batch_report(run, report)
+    if not quiet and set(summary.taken) - {"map"}:
+        note(f"{folder}: {anymap.files_taken_for(summary.taken)}")
     _complain(summary, run)
     if not quiet:
         _say(summary, run, report)

@@ -1,4 +1,4 @@
-"""`posterior` and `decide`: what several hypotheses and none are worth against each other."""
+"""`posterior`, `log_alike` and `decide`: what several hypotheses and none are worth against each other."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig
 from mapfuse.fusion.decide import decide, posterior
 
-EVIDENCE, DECISION = EvidenceConfig(), DecisionConfig()
+# what other floors of one plan change has tests of its own
+EVIDENCE, DECISION = EvidenceConfig(alike_rate=0.0), DecisionConfig()
 odds = st.floats(-200, 200)
 
 
@@ -24,9 +25,9 @@ def probabilities(log_odds, contradiction=None, *, prior=0.5, **evidence):
 
 
 def decided(hypotheses, config=DECISION):
-    """The verdict on hypotheses, each a number of nats, or that and its contradiction."""
+    """The verdict on hypotheses, each a number of nats, or that and its contradiction; of floors that are unique."""
     pairs = [h if isinstance(h, tuple) else (h, 0.0) for h in hypotheses]
-    weighed = [SimpleNamespace(log_odds=odds) for odds, _ in pairs]
+    weighed = [SimpleNamespace(log_odds=odds, alike=-np.inf) for odds, _ in pairs]
     return decide(weighed, -np.array([contradiction for _, contradiction in pairs]), EVIDENCE, config)
 
 
@@ -129,6 +130,38 @@ def test_the_ranking_follows_the_probabilities_even_against_the_odds():
     found = decided([(40.0, -9.0), 30.0])
     assert [w.log_odds for w in found.ranked] == [30.0, 40.0]
     assert found.decision == "merged"
+
+
+def on_another_floor(*hypotheses, rate=0.001):
+    """The verdict on hypotheses (log odds, what each shows on another floor against on this one)."""
+    weighed = [SimpleNamespace(log_odds=odds, alike=alike) for odds, alike in hypotheses]
+    return decide(weighed, np.zeros(len(weighed)), EvidenceConfig(alike_rate=rate), DECISION)
+
+
+@given(odds, st.floats(-1.0, 30.0), st.floats(1e-6, 0.5))
+def test_another_floor_of_one_plan_is_bayes_over_three(log_odds, alike, rate):
+    # same floor: e^S; another one of its plan: rate e^(S + a); buildings that have nothing in common: 1 - rate
+    same, other, nothing = log_odds, np.log(rate) + log_odds + alike, np.log1p(-rate)
+    expected = np.exp(same - np.logaddexp(same, np.logaddexp(other, nothing)))
+    assert on_another_floor((log_odds, alike), rate=rate).probabilities[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_what_is_missing_tells_floors_of_one_plan_apart_however_much_agrees():
+    # with an agreement that nothing contradicts (log 1/2 at least) the same floor stays sure
+    assert on_another_floor((300.0, np.log(0.5))).decision == "merged"
+    # 1000 to 1 that it is another floor makes up for one building in a thousand having one
+    even = on_another_floor((300.0, np.log(1000.0)))
+    assert even.decision == "ambiguous"
+    assert even.no_overlap == pytest.approx(0.5, abs=1e-6)
+    assert on_another_floor((300.0, 12.0)).decision == "no_overlap"
+    assert on_another_floor((300.0, 12.0), rate=0.0).decision == "merged"
+
+
+def test_another_floor_changes_nothing_between_rivals():
+    plain, alike = (on_another_floor((20.0, 3.0), (17.0, -0.5), rate=rate) for rate in (0.0, 0.2))
+    ratio = [float(np.log(v.probabilities[0] / v.probabilities[1])) for v in (plain, alike)]
+    assert ratio[0] == pytest.approx(ratio[1])
+    assert alike.no_overlap > plain.no_overlap
 
 
 def test_nothing_to_decide_is_no_overlap():

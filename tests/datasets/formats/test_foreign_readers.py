@@ -1,7 +1,7 @@
 """Other people's programs read what mapfuse writes.
 
-GDAL (by pyogrio, which GeoPandas reads with) for GeoJSON, evo for TUM, GTSAM for g2o, and plyfile for PLY; Open3D,
-which reads PLY too, is a gigabyte and no dependency of the tests.
+GDAL (by pyogrio, which GeoPandas reads with) for GeoJSON, evo for TUM, GTSAM for g2o, plyfile for PLY; GeoPandas itself
+and Open3D (extra ``open3d``), which is a gigabyte, where they are installed.
 """
 
 import numpy as np
@@ -104,6 +104,25 @@ def test_plyfile_reads_ply(tmp_path):
     assert vertices["type"].tolist() == [0, 1, 2] + [-1] * 6
     assert [tuple(edge) for edge in edges.data] == [(3, 4), (4, 5), (6, 7), (7, 8)]
     assert "type 1 door" in read.comments
+
+
+def test_open3d_reads_ply(tmp_path):
+    open3d = pytest.importorskip("open3d", exc_type=ImportError)
+    write_any(MAP, tmp_path / "D7.ply")
+    points = np.asarray(open3d.io.read_point_cloud(str(tmp_path / "D7.ply")).points)
+    np.testing.assert_allclose(points[:3], np.column_stack([MAP.positions, np.zeros(3)]))
+    np.testing.assert_allclose(points[6:, :2], PATH[:, 1:3])
+
+
+def test_geopandas_reads_gis_geojson(tmp_path):
+    geopandas = pytest.importorskip("geopandas")
+    write_any(MAP, tmp_path / "D7.gis.geojson")
+    told = geopandas.read_file(tmp_path / "D7.gis.geojson")
+    landmarks = told[told["kind"] == "landmark"]
+    np.testing.assert_allclose(np.column_stack([landmarks.geometry.x, landmarks.geometry.y]), MAP.positions)
+    # the 95 % ellipse of a landmark with standard deviations of 2 m and 1 m
+    (area,) = told[told["kind"] == "ellipse"].geometry.area
+    assert area == pytest.approx(np.pi * CHI2_95 * 2, rel=0.01)
 
 
 def test_pandas_reads_the_lists(tmp_path):

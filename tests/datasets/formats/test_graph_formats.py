@@ -244,7 +244,6 @@ def test_rmf_pixels_become_metres_with_y_up(tmp_path):
     np.testing.assert_allclose(map_.walls[0], [[0, 0], [0, -22]])
     assert reading.remarks == (
         "level L1: measurements differ by 18 %: their mean is taken, 0.1100 m per pixel",
-        "level L1: 1 lanes: left out",
         "1 lifts: left out",
     )
 
@@ -262,6 +261,7 @@ def test_rmf_in_metres_keeps_its_axes(tmp_path):
         ("levels: {L: {vertices: [[1, 2, 0, a]], walls: [[0, 1, {}]]}}", r"levels\.L\.walls\[0\]: must begin with two"),
         ("levels: {L: {vertices: [[1, x, 0, a]]}}", r"levels\.L\.vertices\[0\]\[1\]: must be a finite number"),
         ("levels: {L: {vertices: [[1, .inf, 0, a]]}}", r"vertices\[0\]\[1\]: must be a finite number, not Infinity"),
+        ("levels: {L: {vertices: [[1, 2, 0, a]], lanes: [[0, 7, {}]]}}", r"levels\.L\.lanes\[0\]: must begin with two"),
         ("levels: [1]", "levels: must be an object, not a list"),
         ("coordinate_system: wgs84\nlevels: {L: {vertices: []}}", "is wgs84: degrees"),
     ],
@@ -282,30 +282,7 @@ def test_real_rmf_buildings(shared_data):
     assert 15 < np.ptp(office.positions[:, 0]) < 30
 
 
-def graphnav(folder, anchored=True, stray=False):
-    map_pb2 = pytest.importorskip("bosdyn.api.graph_nav.map_pb2")
-    graph = map_pb2.Graph()
-    for name in ("w0", "w1", "w2"):
-        graph.waypoints.add(id=name).annotations.name = f"place {name}"
-    # each edge goes 2 m ahead and turns left by a quarter
-    for a, b in (("w0", "w1"), *(() if stray else (("w1", "w2"),))):
-        edge = graph.edges.add()
-        edge.id.from_waypoint, edge.id.to_waypoint = a, b
-        edge.from_tform_to.position.x = 2.0
-        edge.from_tform_to.rotation.z = edge.from_tform_to.rotation.w = math.sqrt(0.5)
-    if anchored:
-        for k, name in enumerate(("w0", "w1", "w2")):
-            anchor = graph.anchoring.anchors.add(id=name)
-            anchor.seed_tform_waypoint.position.x = 10.0 + k
-            anchor.seed_tform_waypoint.rotation.w = 1.0
-        found = graph.anchoring.objects.add(id="523")
-        found.seed_tform_object.position.y = -3.0
-    (folder / "waypoint_snapshots").mkdir(parents=True)
-    (folder / "graph").write_bytes(graph.SerializeToString())
-    return folder
-
-
-def test_graphnav_anchored(tmp_path):
+def test_graphnav_anchored(tmp_path, graphnav):
     folder = graphnav(tmp_path / "plant")
     reading, found = read_all(folder)
     (map_,) = reading.maps
@@ -317,13 +294,13 @@ def test_graphnav_anchored(tmp_path):
     assert read_any(folder / "graph")[0] == map_
 
 
-def test_graphnav_from_edge_to_edge(tmp_path):
+def test_graphnav_from_edge_to_edge(tmp_path, graphnav):
     reading, _ = read_all(graphnav(tmp_path / "plant", anchored=False))
     np.testing.assert_allclose(reading.maps[0].positions, [[0, 0], [2, 0], [2, 2]], atol=1e-12)
     assert "the map isn't anchored" in reading.remarks[0]
 
 
-def test_graphnav_that_does_not_hang_together(tmp_path):
+def test_graphnav_that_does_not_hang_together(tmp_path, graphnav):
     reading, _ = read_all(graphnav(tmp_path / "plant", anchored=False, stray=True))
     assert reading.maps[0].ids == ("w0", "w1")
     assert "waypoints that nothing joins to the first one (w2): left out" in reading.remarks

@@ -109,95 +109,25 @@ def test_an_mrclam_folder_is_a_map_of_each_robot(tmp_path):
 TUBES = np.array([[3.0, 1.0], [6.0, -1.0], [9.0, 1.5]])
 
 
-def bag(path, kind="PoseArray", frame="base_link", storage="MCAP", topic="/seen", second=False, packed=False):
-    """A robot drives 12 m along x and sees three things within 2.5 m."""
-    pytest.importorskip("rosbags")
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    T = store.types
-
-    def header(t, name):
-        stamp = T["builtin_interfaces/msg/Time"](sec=int(t), nanosec=round(t % 1 * 1e9))
-        return T["std_msgs/msg/Header"](stamp=stamp, frame_id=name)
-
-    def pose(x, y):
-        Pose, Point, Quaternion = (T[f"geometry_msgs/msg/{name}"] for name in ("Pose", "Point", "Quaternion"))
-        return Pose(position=Point(x, y, 0.0), orientation=Quaternion(0.0, 0.0, 0.0, 1.0))
-
-    def marker(t, k, x, y):
-        blank = {"sec": 0, "nanosec": 0}
-        V, Colour = T["geometry_msgs/msg/Vector3"], T["std_msgs/msg/ColorRGBA"]
-        Marker = T["visualization_msgs/msg/Marker"]
-        values = {
-            "header": header(t, frame),
-            "ns": "tube",
-            "id": k + 1,
-            "type": 0,
-            "action": 0,
-            "pose": pose(x, y),
-            "scale": V(0.0, 0.0, 0.0),
-            "color": Colour(0.0, 0.0, 0.0, 0.0),
-            "lifetime": T["builtin_interfaces/msg/Duration"](**blank),
-            "frame_locked": False,
-            "points": [],
-            "colors": [],
-            "texture_resource": "",
-            "texture": T["sensor_msgs/msg/CompressedImage"](header(t, ""), "", np.zeros(0, np.uint8)),
-            "uv_coordinates": [],
-            "text": "",
-            "mesh_resource": "",
-            "mesh_file": T["visualization_msgs/msg/MeshFile"]("", np.zeros(0, np.uint8)),
-            "mesh_use_embedded_materials": False,
-        }
-        return Marker(**values)
-
-    zero = T["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    twist = T["geometry_msgs/msg/TwistWithCovariance"](T["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36))
-    name = {"PoseArray": "geometry_msgs/msg/PoseArray", "MarkerArray": "visualization_msgs/msg/MarkerArray"}[kind]
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
-    if packed:
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        moves = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
-        looks = writer.add_connection(topic, name, typestore=store)
-        if second:
-            writer.add_connection("/other", name, typestore=store)
-        for k in range(61):
-            t, x = 100 + k / 2, 0.2 * k
-            with_covariance = T["geometry_msgs/msg/PoseWithCovariance"](pose(x, 0.0), np.zeros(36))
-            message = T["nav_msgs/msg/Odometry"](header(t, "odom"), "base_link", with_covariance, twist)
-            writer.write(moves, int(t * 1e9), store.serialize_cdr(message, "nav_msgs/msg/Odometry"))
-            shift = 0.0 if frame == "odom" else x
-            seen = [(n, px - shift, py) for n, (px, py) in enumerate(TUBES) if math.hypot(px - x, py) < 2.5]
-            if kind == "PoseArray":
-                message = T[name](header(t, frame), [pose(px, py) for _, px, py in seen])
-            else:
-                message = T[name]([marker(t, n, px, py) for n, px, py in seen])
-            writer.write(looks, int(t * 1e9), store.serialize_cdr(message, name))
-    return path
-
-
 @pytest.mark.parametrize(
     ("kind", "frame", "storage"),
     [("PoseArray", "base_link", "MCAP"), ("PoseArray", "odom", "SQLITE3"), ("MarkerArray", "base_link", "MCAP")],
 )
-def test_a_bag_becomes_the_map_that_its_messages_say(tmp_path, kind, frame, storage):
+def test_a_bag_becomes_the_map_that_its_messages_say(tmp_path, kind, frame, storage, bag):
     map_, found = read_any(bag(tmp_path / "drive", kind, frame, storage), type="tube")
     assert (found.name, map_.name, map_.types) == ("rosbag", "drive", ("tube",) * 3)
     np.testing.assert_allclose(map_.positions[np.argsort(map_.positions[:, 0])], TUBES, atol=0.05)
     assert map_.joint_covariance is not None
 
 
-def test_a_bare_mcap_file_is_a_bag_too(tmp_path):
+def test_a_bare_mcap_file_is_a_bag_too(tmp_path, bag):
     (file,) = bag(tmp_path / "drive").glob("*.mcap")
     shutil.copy(file, tmp_path / "alone.mcap")
     map_, found = read_any(tmp_path / "alone.mcap", landmarks="/seen", odometry="/odom")
     assert (found.name, map_.name, len(map_)) == ("rosbag", "alone", 3)
 
 
-def test_topics_and_frames_are_asked_for_by_name(tmp_path):
+def test_topics_and_frames_are_asked_for_by_name(tmp_path, bag):
     path = bag(tmp_path / "drive", second=True)
     with pytest.raises(ConfigError, match=r"option landmarks: several topics could be it \(/other, /seen\): name one"):
         read_any(path)
@@ -209,7 +139,7 @@ def test_topics_and_frames_are_asked_for_by_name(tmp_path):
         read_any(bag(tmp_path / "camera", frame="camera"))
 
 
-def test_broken_bags_are_refused(tmp_path):
+def test_broken_bags_are_refused(tmp_path, bag):
     (file,) = bag(tmp_path / "drive").glob("*.mcap")
     whole = file.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[:3000])
@@ -220,7 +150,7 @@ def test_broken_bags_are_refused(tmp_path):
         read_any(tmp_path / "turned.mcap")
 
 
-def test_a_chunk_that_unpacks_beyond_bounds_is_refused(tmp_path, monkeypatch):
+def test_a_chunk_that_unpacks_beyond_bounds_is_refused(tmp_path, monkeypatch, bag):
     path = bag(tmp_path / "drive", packed=True)
     assert len(read_any(path)[0]) == 3
     monkeypatch.setattr(rosbag, "MAX_CHUNK_BYTES", 1000)
@@ -228,7 +158,7 @@ def test_a_chunk_that_unpacks_beyond_bounds_is_refused(tmp_path, monkeypatch):
         read_any(path)
 
 
-def test_bags_packed_as_a_whole_are_refused(tmp_path):
+def test_bags_packed_as_a_whole_are_refused(tmp_path, bag):
     path = bag(tmp_path / "drive")
     metadata = path / "metadata.yaml"
     text = metadata.read_text()
@@ -238,7 +168,7 @@ def test_bags_packed_as_a_whole_are_refused(tmp_path):
         read_any(path)
 
 
-def test_metadata_do_not_lead_out_of_the_folder(tmp_path):
+def test_metadata_do_not_lead_out_of_the_folder(tmp_path, bag):
     path = bag(tmp_path / "drive")
     metadata = path / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("drive.mcap", "../../elsewhere.mcap"))

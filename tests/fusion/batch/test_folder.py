@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,11 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_maps_of_any_format_are_read_and_all_else_is_passed_over(folder: Path) -> None:
-    found = dict(read_folder(folder, told={"position_sigma": "0.05", "corridors": "ways.geojson"}))
+    taken = Counter()
+    found = dict(read_folder(folder, told={"position_sigma": "0.05", "corridors": "ways.geojson"}, taken=taken))
+    # a file that holds several maps is one file, and one that can't be opened is of no format
+    assert sum(taken.values()) == len({path.partition("#")[0] for path in found})
+    assert set(taken) > {"map"}
     assert sorted(found) == ["deeper/list.csv", "own.map.json"]
     own, foreign = found["own.map.json"], found["deeper/list.csv"]
     assert isinstance(own, LandmarkMap)
