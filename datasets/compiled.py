@@ -25,18 +25,30 @@ def kernel(function: Function) -> Function:
     Numba keeps the machine code beside the source, or in the user's cache folder, or in ``NUMBA_CACHE_DIR``. Where none
     of them can be written, each process compiles anew.
     """
+    return _compiled(function)
+
+
+def inlined(function: Function) -> Function:
+    """Decorator: a `kernel` that becomes a part of those that call it, wherever a call would cost as much as its work.
+
+    An array is handed over as seven numbers, and the compiler's own choice changes with details of the source.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Function, forceinline: bool = False) -> Function:
     import numba
 
     compiled: Any
     try:
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=forceinline)(function)
     except RuntimeError:  # numba's word for: there is no folder to keep it in
-        compiled = numba.njit(nogil=True, error_model="numpy")(function)
+        compiled = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
     return cast(Function, compiled)
 
 
 @cache
-def kernels(name: str, package: str, what: str) -> ModuleType:
+def kernels(name: str, package: str | None, what: str) -> ModuleType:
     """The module ``name`` of a package; says once that ``what`` will be compiled, if it isn't on disk yet."""
     module = import_module(f"{package}.{name}")
     if not _is_on_disk(module):

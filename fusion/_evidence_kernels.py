@@ -1,7 +1,7 @@
 """The loops of weighing a hypothesis, compiled: who passed what, how much corridor is common, in which order matches
 are come upon.
 
-Import through `mapfuse.matching.compiled.kernels` only. Corridors are straight, travelled links; docs/evidence.md has
+Import through `mapfuse.datasets.compiled.kernels` only. Corridors are straight, travelled links; docs/evidence.md has
 the formulas.
 """
 
@@ -11,7 +11,7 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from mapfuse.matching.compiled import kernel
+from mapfuse.datasets.compiled import kernel
 
 TWO_PI = 2 * np.pi
 # A link shorter than this [m] has no direction to speak of.

@@ -1,6 +1,6 @@
 """The loop of laying groups of maps on each other, compiled: which candidates agree with what one proposes.
 
-Import through `mapfuse.matching.compiled.kernels` only. Poses and covariances as in `mapfuse.datasets.se2`, whose
+Import through `mapfuse.datasets.compiled.kernels` only. Poses and covariances as in `mapfuse.datasets.se2`, whose
 formulas these are.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapfuse.matching.compiled import kernel
+from mapfuse.datasets.compiled import kernel
 
 
 @kernel

@@ -1,6 +1,6 @@
 """The loops of growing a hypothesis, compiled: two maps as one Gaussian, and which of their landmarks are the same.
 
-Import through `mapfuse.matching.compiled.kernels` only. The formulas are those of docs/evidence.md, "Elastic match";
+Import through `mapfuse.datasets.compiled.kernels` only. The formulas are those of docs/evidence.md, "Elastic match";
 a side of a comparison is a `Side`. Everything is in one file, since numba's cache looks at no other.
 """
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.matching.compiled import kernel
+from mapfuse.datasets.compiled import kernel
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapfuse.matching.compiled import kernel
+from mapfuse.datasets.compiled import kernel
 
 
 @kernel

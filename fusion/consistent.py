@@ -24,8 +24,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_flow
 
 from mapfuse.datasets import se2
+from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.transform import Transform
-from mapfuse.matching.compiled import kernels
 
 from .config import FuseConfig, chi2_gate
 from .decide import probabilities

@@ -20,8 +20,8 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import bsr_array, csr_array
 
 from mapfuse.datasets import se2
+from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.errors import TooLargeError
-from mapfuse.matching.compiled import kernels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.matching.compiled import kernels
+from mapfuse.datasets.compiled import kernels
 
 from .prepared import PreparedMap
 

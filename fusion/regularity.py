@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import rel_entr
 
+from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.maps import SPATIAL_TYPES
-from mapfuse.matching.compiled import kernels
 
 from .prepared import PreparedMap
 

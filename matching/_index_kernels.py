@@ -1,13 +1,13 @@
 """The loops of the index of maps, compiled: triangles that are alike, and their votes.
 
-Import through `mapfuse.matching.compiled.kernels` only. What triangles, points and labels are: `triangles`.
+Import through `mapfuse.datasets.compiled.kernels` only. What triangles, points and labels are: `triangles`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .compiled import kernel
+from mapfuse.datasets.compiled import kernel
 
 #: Cells of the grid in each direction; points beyond the last one lie in the last one.
 SIDE = 1 << 10

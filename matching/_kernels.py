@@ -1,6 +1,6 @@
 """The loops of the matcher, compiled: turns of arm patterns, votes in SE(2), assignment, alignment and score.
 
-Import through `mapfuse.matching.compiled.kernels` only. Arrays are C-contiguous float64, int32, int8, uint8 or uint64;
+Import through `mapfuse.datasets.compiled.kernels` only. Arrays are C-contiguous float64, int32, int8, uint8 or uint64;
 a side of a comparison is a `Side`, its landmarks sorted into cells a `Cells`, where its robot has been a `Seen`.
 """
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import inlined, kernel
+from mapfuse.datasets.compiled import inlined, kernel
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int32]

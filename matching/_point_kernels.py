@@ -1,4 +1,4 @@
-"""Compiled kernels of the search among landmarks without heading; imported through `compiled.kernels` only.
+"""The search among landmarks without heading, compiled; imported through `mapfuse.datasets.compiled.kernels` only.
 
 Conventions: map 1 is looked up, map 2 is moved; ``grid`` is a `SpatialGrid` as four arguments (start, members, corner
 and size, shape); all landmarks are those of `PointArrays`, in its order. Loops over neighbours are bounded, so that
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import kernel
+from mapfuse.datasets.compiled import kernel
 
 BINS = 64
 ANGLE_STEPS = 65536

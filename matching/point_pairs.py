@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
+from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.errors import ConfigError
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from .candidates import through
-from .compiled import kernels
 from .config import MatchingConfig
 from .hypothesis import Correspondences, Hypothesis
 from .landmark_arrays import landmark_arrays, shared_labels

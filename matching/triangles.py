@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mapfuse.datasets.arms import signature
+from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.maps import JointCovariance, LandmarkMap
-
-from .compiled import kernels
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
+from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.maps import DOOR, LandmarkMap
 from mapfuse.datasets.transform import Transform
 
-from .compiled import kernels
 from .config import MatchingConfig
 from .hypothesis import Correspondences, Hypothesis
 from .landmark_arrays import LandmarkArrays, frozen, landmark_arrays, shared_labels
@@ -32,6 +32,11 @@ from .travelled import Travelled
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+
+def matcher_kernels() -> ModuleType:
+    """The compiled loops of the matcher."""
+    return kernels("_kernels", __package__, "the matcher")
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +158,7 @@ class Pair:
         self, one: LandmarkArrays, two: LandmarkArrays, config: MatchingConfig, settings: Settings = SETTINGS
     ) -> None:
         self.one, self.two, self.config, self.settings = one, two, config, settings
-        self.kernels: ModuleType = kernels()
+        self.kernels: ModuleType = matcher_kernels()
         label1, label2, _ = shared_labels(one, two)
         if not config.use_h1:
             label1, label2 = np.zeros_like(label1), np.zeros_like(label2)
@@ -321,7 +326,7 @@ def rotation_modes(votes: Array, width: float, limit: int) -> list[float]:
     [10.0, 100.5]
     """
     step = 2 * np.pi / len(votes)
-    centres = kernels().strongest_rotations(votes.astype(float), max(1, round(width / step)), limit)
+    centres = matcher_kernels().strongest_rotations(votes.astype(float), max(1, round(width / step)), limit)
     return [float(se2.wrap(centre * step)) for centre in centres.tolist()]
 
 

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numba
 import pytest
 
-from mapfuse.matching import compiled
+from mapfuse.datasets import compiled
 
 
 def test_importing_the_matcher_does_not_load_numba():
@@ -40,7 +40,7 @@ def test_a_first_compilation_is_announced_once(monkeypatch, caplog, kept, said):
     monkeypatch.setattr(compiled, "_is_on_disk", lambda module: kept)
     compiled.kernels.cache_clear()
     with caplog.at_level(logging.WARNING):
-        assert compiled.kernels("anything") is compiled.kernels("anything") is module
+        assert compiled.kernels("anything", "any", "things") is compiled.kernels("anything", "any", "things") is module
     compiled.kernels.cache_clear()
     assert len(caplog.records) == said
 
