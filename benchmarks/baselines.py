@@ -177,6 +177,10 @@ def _run_limited(
     limit_s: int,
 ) -> None:
     chosen = next(baseline for baseline in baselines() if baseline.name == name)
+    # what is loaded at a first call is nobody's time
+    few = [m.replace(landmarks=m.landmarks[:40], joint_covariance=None, same_as={}) for m in (map1, map2)]
+    with patch(f"{__name__}.descriptors", lambda *_: tuple(d[:40] for d in described)):
+        chosen.run(few[0], few[1], tolerance_m)
     begin = time.process_time()
     # the system ends a process that has used that much, whatever it is busy with
     resource.setrlimit(resource.RLIMIT_CPU, (int(begin) + limit_s + 1, int(begin) + limit_s + 2))
