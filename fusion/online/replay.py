@@ -65,7 +65,7 @@ class Replay:
         for t, name, event in self.events():
             if due is not None and every is not None and t >= due:
                 yield Moment(self.t, False)
-                due = (t // every + 1) * every
+                due = _after(t, every)
             self.t = t
             if self.step(name, event, t):
                 yield Moment(t, True)
@@ -108,6 +108,12 @@ class Replay:
         """Everything said and weighed."""
         self.correct()
         self.fuser.advance(force=True)
+
+
+def _after(t: float, every: float) -> float:
+    """The first multiple of ``every`` that is later than ``t``, though t may be one but for rounding."""
+    due = (t // every + 1) * every
+    return due if due > t else due + every
 
 
 def _at(message: Item, t: float) -> Item:

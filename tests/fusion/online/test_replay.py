@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapfuse.datasets import read_map, recordings
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.fusion import OnlineFuser, fuse, read_fused
-from mapfuse.fusion.online.feed import LEAST_NORTH, with_north
 from mapfuse.fusion.online.replay import Nameless, Replay, offsets
 
 #: Places along a corridor (x, what is there), uneven, so that it looks like itself only in one way.
@@ -172,24 +170,16 @@ def test_clocks_are_common_where_all_logs_say_when_they_were_recorded():
     assert offsets([LogHeader("a", recorded_at="yesterday"), LogHeader("b", recorded_at=first)]) == [0.0, 0.0]
 
 
+def test_each_moment_asked_for_comes_once():
+    # 160.2 // 53.4 is 2 and 3 * 53.4 is 160.2
+    events = tuple(Odometry(round(0.2 * k, 1), 0.0, 0.0, 0.0) for k in range(2671))
+    replay = Replay([Log(LogHeader(name), events) for name in "ab"])
+    moments = [moment.t for moment in replay.run(every=53.4)]
+    assert len(moments) == 11
+    assert moments[:9] == pytest.approx([53.4 * k for k in range(1, 10)], abs=0.21)
+
+
 def test_names_are_dropped_as_often_as_the_log_is_read():
     events = Nameless((Odometry(0.0, 0.0, 0.0, 0.0), Detection(0.0, "tree", 1.0, 0.0, (), "oak")))
     for _ in range(2):
         assert [getattr(e, "id", None) for e in events] == [None, None]
-
-
-def test_north_is_told_once_and_as_it_was():
-    recorded = read_map(recordings.path("ground-floor-vespucci"))
-    told = with_north(recorded, 0.4, 0.03)
-    readings = [(l, k) for l in told.landmarks for k in l.links if k.compass is not None]
-    had = [k for l in recorded.landmarks for k in l.links if k.compass is not None]
-    if not had:
-        assert told == recorded
-        return
-    ((landmark, link),) = readings
-    assert link.compass == pytest.approx(float(np.remainder(link.heading - 0.4 + np.pi, 2 * np.pi) - np.pi))
-    assert landmark.detection_counter == max(
-        l.detection_counter for l in recorded.landmarks if any(k.compass is not None for k in l.links)
-    )
-    assert told.noise.compass_sigma == 0.03
-    assert with_north(recorded, 0.4, 0.0).noise.compass_sigma == LEAST_NORTH
