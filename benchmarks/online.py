@@ -22,7 +22,7 @@ from typing import Any
 
 from online_corridor import symmetric, symmetric_table
 from online_groups import four, four_table, mrclam, mrclam_table
-from online_load import correction, correction_table, latency, latency_table, stream, stream_table
+from online_load import correction, correction_table, latency, latency_picture, latency_table, stream, stream_table
 from online_pairs import hospital, hospital_table
 
 HERE = Path(__file__).resolve().parent
@@ -54,7 +54,7 @@ def main() -> None:
         row = {"seed": seed, **run(seed, arguments)}
         row["seconds"] = time.process_time() - start
         rows.append(row)
-        print(json.dumps(row), flush=True)
+        print(json.dumps(row)[:2000], flush=True)
         if arguments.rows is not None:
             with arguments.rows.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
@@ -71,6 +71,8 @@ def main() -> None:
     print(text)
     if arguments.write:
         (HERE / "results" / f"online-{arguments.what}.md").write_text(text, encoding="utf-8")
+        if arguments.what == "latency":
+            latency_picture(rows, HERE.parent / "docs" / "images" / "online-latency.png")
 
 
 def _rows(path: Path | None) -> list[Row]:
@@ -84,7 +86,7 @@ MEASURED: dict[str, Measured] = {
     "correction": (correction, correction_table, 1, 1),
     "four": (four, four_table, 100, 2),
     "hospital": (hospital, hospital_table, 200, 3),
-    "latency": (latency, latency_table, 1, 1),
+    "latency": (latency, latency_picture, latency_table, 1, 1),
     "mrclam": (mrclam, mrclam_table, 2, 1),
     "stream": (stream, stream_table, 1, 1),
     "symmetric": (symmetric, symmetric_table, 40, 3),

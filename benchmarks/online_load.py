@@ -7,10 +7,12 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matching_floors import pair_of_maps
+from numpy.typing import NDArray
 
 from mapfuse.datasets.datum import JointCovariance
 from mapfuse.datasets.logs import Gyro, Log, Odometry
@@ -20,65 +22,48 @@ from mapfuse.datasets.values import frozen_array
 from mapfuse.fusion.online import Correction, LandmarkSeen, OnlineConfig, OnlineFuser
 from mapfuse.fusion.online.replay import Replay
 
+Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 
 def latency(seed: int, arguments: argparse.Namespace) -> Row:
-    """Two maps that grow to 500 landmarks each, landmark by landmark; weighing in a worker process."""
+    """Two maps that grow to 500 landmarks each, landmark by landmark, then are told again as they are with a little
+    noise; weighing in a worker process."""
     rng = np.random.default_rng(seed)
     size = 120 if arguments.quick else 500
     pair = pair_of_maps(size, "irregular", rng)
-    order = [walked(m) for m in (pair.map1, pair.map2)]
+    maps = (pair.map1, pair.map2)
+    order = [walked(m) for m in maps]
     fuser = OnlineFuser(OnlineConfig(delay=None), worker=True)
-    for m in (pair.map1, pair.map2):
+    for m in maps:
         fuser.add_robot(m.name, m.noise)
-    taken, advanced, taken_cpu, advanced_cpu, sizes, answers = [], [], [], [], [], []
-    numbers = {"A": 0, "B": 0}
-    t = 0.0
-    for k in range(max(len(o) for o in order)):
-        for m, row in zip((pair.map1, pair.map2), order, strict=True):
-            if k >= len(row):
+    events: list[list[float]] = []
+    answers = 0
+    for k in range((1 + AGAIN) * size):
+        for m, row in zip(maps, order, strict=True):
+            landmark = m.landmarks[row[k % size]] if k % size < len(row) else None
+            if landmark is None:
                 continue
-            t += 0.1
-            message = LandmarkSeen(robot=m.name, sequence=numbers[m.name], t=t, landmark=m.landmarks[row[k]])
-            numbers[m.name] += 1
+            if k >= size:
+                landmark = replace(landmark, x=landmark.x + rng.normal(0, 0.02), y=landmark.y + rng.normal(0, 0.02))
+            message = LandmarkSeen(robot=m.name, sequence=k, t=0.1 * k, landmark=landmark)
             begin, cpu = time.perf_counter(), time.thread_time()
             fuser.take(message)
             middle, cpu_middle = time.perf_counter(), time.thread_time()
-            answered = fuser.advance()
+            answers += fuser.advance()
             end, cpu_end = time.perf_counter(), time.thread_time()
-            taken.append(middle - begin)
-            advanced.append(end - begin)
-            taken_cpu.append(cpu_middle - cpu)
-            advanced_cpu.append(cpu_end - cpu)
-            sizes.append(k + 1)
-            if answered:
-                answers.append((k + 1, fuser.fused_at, t, fuser.fused().decision))
+            spent = (middle - begin, end - begin, cpu_middle - cpu, cpu_end - cpu)
+            events.append([k + 1, *(1000 * s for s in spent)])
             time.sleep(PAUSE_S)
-    begin = time.perf_counter()
-    fuser.advance(force=True)
-    last = time.perf_counter() - begin
-    decision = fuser.fused().decision
+    decision = fuser.fused().decision if answers else "none yet"
     fuser.close()
-    return {
-        "size": size,
-        "take": _quantiles(taken),
-        "event": _quantiles(advanced),
-        "take_cpu": _quantiles(taken_cpu),
-        "event_cpu": _quantiles(advanced_cpu),
-        "load": os.getloadavg()[0],
-        "by_size": [
-            [low, *_quantiles([x for x, n in zip(advanced_cpu, sizes, strict=True) if low < n <= low + size // 5])]
-            for low in range(0, size, size // 5)
-        ],
-        "answers": len(answers),
-        "last_weighing": last,
-        "decision": decision,
-    }
+    return {"size": size, "events": events, "load": os.getloadavg()[0], "answers": answers, "decision": decision}
 
 
-#: Landmarks of the latency benchmark come this far apart [s], twenty a second from both robots together.
-PAUSE_S = 0.05
+#: How often the grown maps are told again.
+AGAIN = 2
+#: Pause [s] between landmarks of the latency benchmark, in which the worker works.
+PAUSE_S = 0.005
 
 
 def walked(m: LandmarkMap) -> list[int]:
@@ -97,41 +82,77 @@ def walked(m: LandmarkMap) -> list[int]:
     return row
 
 
-def _quantiles(values: Sequence[float]) -> list[float]:
-    """Median, 99th percentile and largest [ms]."""
-    if not values:
-        return [float("nan")] * 3
-    return [float(1000 * np.quantile(values, q)) for q in (0.5, 0.99, 1.0)]
-
-
 def latency_table(rows: Sequence[Row]) -> Iterator[str]:
-    """Median and 99th percentile, and how both grow."""
-    yield "# Latency per landmark event, two simulated maps that grow"
-    yield ""
+    """Median and 99th percentile, as the maps grow, and as time passes over maps that don't."""
+    yield "# Latency per landmark event, two simulated maps that grow and then stay as they are"
     for row in rows:
-        yield f"{row['size']} landmarks each, twenty landmark events a second, weighed in another process:"
+        size, events = row["size"], np.array(row["events"])
+        yield ""
+        yield f"{size} landmarks each, told in turn and weighed in another process:"
         yield ""
         yield "| | median [ms] | 99 % [ms] | largest [ms] |"
         yield "|---|---|---|---|"
         yield "| asked | 5 | 50 | |"
-        for name, said in (
-            ("event", "taken in and advanced, by the clock"),
-            ("take", "taken in alone, by the clock"),
-            ("event_cpu", "taken in and advanced, processor time"),
-            ("take_cpu", "taken in alone, processor time"),
-        ):
-            yield f"| {said} | " + " | ".join(f"{value:.2f}" for value in row[name]) + " |"
-        for low, *values in row["by_size"]:
-            yield (
-                f"| {low + 1} to {low + row['size'] // 5} landmarks each | "
-                + " | ".join(f"{value:.2f}" for value in values)
-                + " |"
-            )
+        said = ("taken in alone, by the clock", "taken in and advanced, by the clock")
+        said += ("taken in alone, processor time", "taken in and advanced, processor time")
+        for column, name in enumerate(said, start=1):
+            yield _quantiles(name, events[:, column])
+        yield ""
+        yield "Taken in and advanced, processor time, by how many landmarks each map has, or how often it was told:"
+        yield ""
+        yield "| | median [ms] | 99 % [ms] | largest [ms] |"
+        yield "|---|---|---|---|"
+        fifth = size // 5
+        for low in range(0, size, fifth):
+            which = (events[:, 0] > low) & (events[:, 0] <= low + fifth)
+            yield _quantiles(f"{low + 1} to {low + fifth} landmarks", events[which, 4])
+        for again in range(1, 1 + AGAIN):
+            which = (events[:, 0] > again * size) & (events[:, 0] <= (again + 1) * size)
+            yield _quantiles(f"all {size}, told again ({again})", events[which, 4])
         yield ""
         yield (
-            f"{row['answers']} answers meanwhile, the last weighing took {row['last_weighing']:.1f} s: "
-            f"{row['decision'].replace('_', ' ')}. The machine's two processors had a load of {row['load']:.1f}."
+            f"{row['answers']} answers meanwhile; the last one: {row['decision'].replace('_', ' ')}. The machine's two "
+            f"processors had a load of {row['load']:.1f}, so that times by the clock hold waiting for them."
         )
+    yield ""
+    yield "![Processor time per landmark event against how many were told](../../docs/images/online-latency.png)"
+
+
+def _quantiles(name: str, values: Array) -> str:
+    found = (np.quantile(values, q) for q in (0.5, 0.99, 1.0)) if len(values) else [float("nan")] * 3
+    return f"| {name} | " + " | ".join(f"{value:.2f}" for value in found) + " |"
+
+
+def latency_picture(rows: Sequence[Row], path: Path) -> None:
+    """Median and 99th percentile of every fiftieth of the run, and where the maps stop growing."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    row = rows[-1]
+    events, size = np.array(row["events"]), row["size"]
+    parts = np.array_split(np.arange(len(events)), 50)
+    at = [events[part, 0].mean() for part in parts]
+    for q, colour, name in ((0.5, "#1f5a99", "median"), (0.99, "#b9502b", "99th percentile")):
+        axes.plot(at, [np.quantile(events[part, 4], q) for part in parts], color=colour, label=name)
+    axes.axvline(size, color="0.6", linewidth=1)
+    axes.annotate(
+        f"{size} landmarks each;\nfrom here told again",
+        (size, axes.get_ylim()[1]),
+        (4, -4),
+        textcoords="offset points",
+        va="top",
+        fontsize=8,
+    )
+    for bound in (5, 50):
+        axes.axhline(bound, color="0.6", linestyle=":", linewidth=1)
+    axes.set(xlabel="landmark events of each robot", ylabel="processor time per event [ms]", yscale="log")
+    axes.legend(loc="lower right", fontsize=8)
+    axes.set_title("Two simulated maps, as they grow and as they are told again", fontsize=10)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 def stream(seed: int, arguments: argparse.Namespace) -> Row:

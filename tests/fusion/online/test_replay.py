@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mapfuse.datasets.errors import FileFormatError
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.fusion import OnlineFuser, fuse, read_fused
@@ -132,6 +133,72 @@ def test_replay_writes_all_that_it_is_asked_for(logs: tuple[Log, Log], tmp_path:
         film.seek(film.n_frames - 1)
         last = np.asarray(film.convert("RGB"))
     assert (first != last).any()
+
+
+def parts(logs, cut: float) -> tuple[list[Log], list[Log]]:
+    """Logs up to a time [s], and what came after."""
+    first = [Log(log.header, tuple(e for e in log.events if e.t < cut)) for log in logs]
+    return first, [Log(log.header, tuple(e for e in log.events if e.t >= cut)) for log in logs]
+
+
+def test_a_replay_in_two_parts_ends_where_one_in_one_ends(logs, replayed, tmp_path, command):
+    for k, part in enumerate(parts(logs, 20.0)):
+        for log in part:
+            write_log(log, tmp_path / f"{log.header.name}{k}.log.jsonl")
+    files = [[tmp_path / f"{name}{k}.log.jsonl" for name in ("west", "east")] for k in range(2)]
+    state, out = tmp_path / "state.json", tmp_path / "both.fused.json"
+    events = [tmp_path / f"events{k}.jsonl" for k in range(2)]
+    assert command("replay", *files[0], "--quiet", "--save-state", state, "--events", events[0]) == 0
+    assert command("replay", *files[1], "--quiet", "--resume", state, "-o", out, "--events", events[1]) == 0
+    fused, straight = read_fused(out), replayed.fuser.fused()
+    assert fused.decision == "merged"
+    assert fused.maps == straight.maps
+    assert np.abs(fused.frames["east"].T.array - straight.frames["east"].T.array).max() < 1e-9
+    told = [json.loads(line) for file in events for line in file.read_text().splitlines()]
+    merged = [event for event in told if event.get("event") == "merged"]
+    assert len(merged) - sum(event.get("event") == "un-merged" for event in told) == 1
+    assert all(event["t"] >= 20.0 for event in map(json.loads, events[1].read_text().splitlines()[1:]))
+
+
+def test_a_robot_may_join_or_stay_away_in_the_second_part(logs, replayed, tmp_path):
+    west, east = logs
+    third = Log(LogHeader("third", sensors=SENSORS), west.events[:30])
+    first = Replay([*parts([west], 20.0)[0], east])
+    for _ in first.run():
+        pass
+    first.save(tmp_path / "state.json")
+    again = Replay.resume(tmp_path / "state.json", [*parts([west], 20.0)[1], third])
+    assert again.t == max(e.t for e in east.events)
+    for _ in again.run():
+        pass
+    fused = again.fuser.fused()
+    assert set(fused.maps) == {"west", "east", "third"}
+    assert fused.sources["east"] == replayed.fuser.fused().sources["east"]
+    assert fused.sources["west"] == replayed.fuser.fused().sources["west"]
+
+
+def test_clocks_stay_common_in_the_second_part():
+    at = "2000-07-01T10:00:{}Z".format
+    headers = [LogHeader("a", recorded_at=at("10")), LogHeader("b", recorded_at=at("40"))]
+    # the first part's common clock began 5 s before a's log
+    assert offsets(headers, [5.0]) == [5.0, 35.0]
+
+
+def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
+    state = tmp_path / "state.json"
+    replayed.fuser.save(state)
+    with pytest.raises(FileFormatError, match=r"holds no mapper of 'east'"):
+        Replay.resume(state, logs)
+    replayed.save(state)
+    whole = json.loads(state.read_text())
+    for change, said in (
+        ({"mapfuse": "77.3.1"}, r"saved by mapfuse 77\.3\.1"),
+        ({"feeds": {**whole["feeds"], "west": {"mapper": {}}}}, r"feeds\.west"),
+        ({"feeds": {**whole["feeds"], "west": {**whole["feeds"]["west"], "mapper": {}}}}, "no saved mapper"),
+    ):
+        state.write_text(json.dumps({**whole, **change}))
+        with pytest.raises(FileFormatError, match=said):
+            Replay.resume(state, logs)
 
 
 @pytest.mark.parametrize(
