@@ -39,6 +39,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--count", type=int)
     parser.add_argument("--first", type=int, default=FIRST_TEST_SEED)
+    parser.add_argument("--events", type=int, help="length of the stream; an hour at 1,000 a second is 3600000")
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--quick", action="store_true", help="a few runs only")
