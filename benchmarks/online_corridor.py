@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mapfuse.datasets import Landmark, LandmarkMap, Link, se2
+from mapfuse.fusion import FuseConfig
 from mapfuse.fusion.online import LandmarkSeen, Merged, OnlineFuser
 
 Row = dict[str, Any]
@@ -143,7 +144,10 @@ def symmetric_table(rows: Sequence[Row]) -> Iterator[str]:
     yield ""
     yield "| | asked | measured |"
     yield "|---|---|---|"
-    yield f"| merged while both ends look alike | never | {sum(row['early'] for row in rows)} of {n} |"
+    held = sum(row["early"] and max(row["rivals"]) >= FuseConfig().decision.accept for row in rows)
+    early = sum(row["early"] for row in rows)
+    yield f"| merged once all is told, both ends looking alike | never | {held} of {n} |"
+    yield f"| merged for a while before, and un-merged by itself | never | {early - held} of {n} |"
     yield f"| merged once one end is seen to differ | within a few landmarks | {len(needed)} of {n} |"
     if needed:
         yield f"| landmarks it took, median and most of 8 | | {np.median(needed):.0f}, {max(needed)} |"
