@@ -112,7 +112,7 @@ def latency_table(rows: Sequence[Row]) -> Iterator[str]:
         yield ""
         yield (
             f"{row['answers']} answers meanwhile; the last one: {row['decision'].replace('_', ' ')}. The machine's two "
-            f"processors had a load of {row['load']:.1f}, so that times by the clock hold waiting for them."
+            f"processors had a load of {row['load']:.1f} at the end."
         )
     yield ""
     yield "![Processor time per landmark event against how many were told](../../docs/images/online-latency.png)"
@@ -149,7 +149,9 @@ def latency_picture(rows: Sequence[Row], path: Path) -> None:
     for bound in (5, 50):
         axes.axhline(bound, color="0.6", linestyle=":", linewidth=1)
     axes.set(xlabel="landmark events of each robot", ylabel="processor time per event [ms]", yscale="log")
-    axes.legend(loc="lower right", fontsize=8)
+    axes.set_yticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
+    axes.minorticks_off()
+    axes.legend(loc="upper right", bbox_to_anchor=(1, 0.9), fontsize=8)
     axes.set_title("Two simulated maps, as they grow and as they are told again", fontsize=10)
     figure.savefig(path, dpi=110)
     plt.close(figure)
