@@ -562,7 +562,19 @@ class Mapper:
     @classmethod
     def load(cls, path: str | Path) -> Mapper:
         """A mapper as it was saved. Raises `FileFormatError` for a file that holds none, `InputError` for none."""
-        header, config, state, kalman = saved.read(path)
+        return cls._of(*saved.read(path))
+
+    def to_json(self) -> bytes:
+        """As `save`, as a JSON document."""
+        return saved.encode(self)
+
+    @classmethod
+    def from_json(cls, data: bytes | msgspec.Raw, path: str | Path) -> Mapper:
+        """A mapper out of the document of `to_json` in the file ``path``. Raises as `load`."""
+        return cls._of(*saved.decode(data, path))
+
+    @classmethod
+    def _of(cls, header: LogHeader, config: MapperConfig, state: State, kalman: JointFilter) -> Mapper:
         mapper = cls(header, config)
         mapper.state, mapper.filter = state, kalman
         return mapper

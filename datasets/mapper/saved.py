@@ -76,11 +76,16 @@ class _File(msgspec.Struct):
 
 def write(mapper: Mapper, path: str | Path) -> None:
     """The mapper as a file, whole or not at all. Raises `OutputError` where it can't be written."""
+    write_whole(path, encode(mapper))
+
+
+def encode(mapper: Mapper) -> bytes:
+    """The mapper as a JSON document."""
     header = asdict(mapper.header)
     document = _File(
         FORMAT, header, asdict(mapper.config), mapper.state, mapper.filter.x.tolist(), mapper.filter.P.tolist()
     )
-    write_whole(path, msgspec.json.encode(document))
+    return msgspec.json.encode(document)
 
 
 def read(path: str | Path) -> tuple[LogHeader, MapperConfig, State, JointFilter]:
@@ -88,7 +93,11 @@ def read(path: str | Path) -> tuple[LogHeader, MapperConfig, State, JointFilter]
 
     Raises `FileFormatError` where that is no mapper's state, `InputError` where it can't be read.
     """
-    data = read_whole(path)
+    return decode(read_whole(path), path)
+
+
+def decode(data: bytes | msgspec.Raw, path: str | Path) -> tuple[LogHeader, MapperConfig, State, JointFilter]:
+    """What a JSON document out of the file ``path`` holds. Raises as `read`."""
     try:
         document = msgspec.json.decode(data, type=_File)
         if document.format != FORMAT:

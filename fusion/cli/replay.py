@@ -55,8 +55,12 @@ def replay(
     window: Annotated[bool, typer.Option("--window", help="The film in a window while it goes on.")] = False,
     no_ids: Annotated[bool, typer.Option("--no-ids", help="Don't use the names that detections carry.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Refuse a log with anything wrong in it.")] = False,
+    resume: Annotated[
+        Path | None,
+        typer.Option("--resume", metavar="STATE", help="Go on from a saved state; LOGs are what came after."),
+    ] = None,
     save_state: Annotated[
-        Path | None, typer.Option("--save-state", metavar="STATE", help="Keep the fuser's state at the end.")
+        Path | None, typer.Option("--save-state", metavar="STATE", help="Keep the state at the end for --resume.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -64,12 +68,13 @@ def replay(
     if speed is not None and not 0 < speed <= 1e6:
         raise UsageError(f"--speed: {speed} must be above 0 and at most 1,000,000")
     outputs = {"-o": output, "--events": events, "--video": video, "--save-state": save_state}
-    check_outputs(outputs, [path for path in logs if not path.is_dir()])
+    inputs = [path for path in (*logs, resume) if path is not None and path != save_state and not path.is_dir()]
+    check_outputs(outputs, inputs)
     if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
         raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
     warn_on_stderr()
     recorded = _logs(logs, strict=strict, no_ids=no_ids)
-    if len(recorded) < 2:
+    if len(recorded) < 2 and resume is None:
         raise UsageError("replay needs the logs of at least two robots")
     if video is not None:
         from mapfuse.fusion.show.film import check_film
@@ -78,7 +83,7 @@ def replay(
 
     from mapfuse.fusion.online.replay import Replay
 
-    run = Replay(recorded)
+    run = Replay(recorded) if resume is None else Replay.resume(resume, recorded)
     simulated = all(bool(log.header.extra.get("simulated")) for log in recorded)
     happened = _run(run, speed, snapshots, video, window=window, simulated=simulated, quiet=quiet)
     fused = run.fuser.fused()
@@ -91,13 +96,13 @@ def replay(
     if events is not None:
         from mapfuse.fusion.online.events import write_events
 
-        write_events(happened, [log.header.name for log in recorded], events)
+        write_events(happened, list(run.feeds), events)
     if output is not None:
         from mapfuse.fusion import write_fused
 
         write_fused(fused, output)
     if save_state is not None:
-        run.fuser.save(save_state)
+        run.save(save_state)
     if not quiet:
         for path in (output, events, video, save_state, snapshots):
             if path is not None:
@@ -182,11 +187,11 @@ def _where(place: Place) -> str:
 
 def _length(run: Replay) -> float:
     """How long the logs are [s], which reads them once."""
-    last = 0.0
+    last = run.t
     for log, offset in zip(run.logs, run.offsets, strict=True):
         for event in log.events:
             last = max(last, event.t + offset)
-    return max(last, 1.0)
+    return max(last - run.t, 1.0)
 
 
 def _snapshot(run: Replay, folder: Path, t: float) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
-from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.logs import Event, LogHeader
 from mapfuse.datasets.mapper import Mapper
 from mapfuse.datasets.mapper.changes import LandmarkAdded
@@ -19,8 +17,6 @@ from .messages import Correction, LandmarkSeen, Message, Placed
 
 #: Landmarks that a robot knows its place by: the nearest ones.
 MOST_NEAR = 12
-#: Least standard deviation [rad] of north that a map claims.
-LEAST_NORTH = 0.02
 
 
 class Feed:
@@ -92,10 +88,8 @@ class Feed:
         )
 
     def map(self) -> LandmarkMap:
-        """The map by now, its compass told once (`with_north`)."""
-        made = self.mapper.map(joint=True).replace(name=self.name)
-        north = self.mapper.north
-        return made if north is None else with_north(made, *north)
+        """The map by now, with its joint covariance."""
+        return self.mapper.map(joint=True).replace(name=self.name)
 
     def _next(self) -> int:
         self.sequence += 1
@@ -124,35 +118,3 @@ class Feed:
             links=links,
             covariance=(covariance + covariance.T) / 2,
         )
-
-
-def with_north(recorded: LandmarkMap, north: float, sigma: float) -> LandmarkMap:
-    """A map that says where its compass' north is once, at the arm that was seen most often.
-
-    ``north``, ``sigma`` [rad, map frame]. A map with a joint covariance holds already what the readings say of its
-    own headings, and arms of one place and places near each other share what steel does to the compass: a reading at
-    every arm would count one thing many times. In 16 simulated hospital pairs the NEES of T12 over its degrees of
-    freedom was 2.8 with all readings, and 1.0 without any.
-    """
-    seen = [
-        (landmark.detection_counter, -k, j)
-        for k, landmark in enumerate(recorded.landmarks)
-        for j, link in enumerate(landmark.links)
-        if link.heading is not None and link.compass is not None
-    ]
-    if not seen:
-        return recorded
-    _, minus, which = max(seen, key=lambda item: (item[0], item[1], -item[2]))
-
-    def told(k: int, landmark: Landmark) -> Landmark:
-        links = tuple(
-            replace(link, compass=wrap(link.heading - north) if (k, j) == (-minus, which) else None)
-            if link.heading is not None
-            else link
-            for j, link in enumerate(landmark.links)
-        )
-        return replace(landmark, links=links)
-
-    landmarks = tuple(told(k, landmark) for k, landmark in enumerate(recorded.landmarks))
-    noise = replace(recorded.noise, compass_sigma=max(sigma, LEAST_NORTH))
-    return recorded.replace(landmarks=landmarks, noise=noise)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TypeVar
 
 import msgspec
@@ -16,6 +17,7 @@ from mapfuse.datasets.logs import Event as LogEvent
 
 from .feed import Feed
 from .fuser import OnlineFuser
+from .savedfeeds import Earlier, load_replay, save_replay
 
 Item = TypeVar("Item")
 
@@ -43,20 +45,47 @@ class Replay:
     """Robots' logs, each through its mapper, into one fuser.
 
     Clocks: where all logs say when they were recorded, the earliest one's is the common clock; else they begin
-    together.
+    together. A replay can be `save`d at its end and `resume`d with what the robots recorded later.
     """
 
-    def __init__(self, logs: Sequence[Log], fuser: OnlineFuser | None = None) -> None:
+    def __init__(
+        self,
+        logs: Sequence[Log],
+        fuser: OnlineFuser | None = None,
+        earlier: Mapping[str, Earlier] | None = None,
+    ) -> None:
+        """``earlier``: robots of an earlier part; a log of the same name goes on from there."""
+        earlier = earlier or {}
         names = [log.header.name for log in logs]
         if len(set(names)) < len(names):
             raise MapfuseError("two logs have one name; names must differ, since results refer to them")
         self.logs = tuple(logs)
         self.fuser = fuser or OnlineFuser()
-        self.feeds = {log.header.name: Feed(log.header) for log in logs}
-        for name, feed in self.feeds.items():
-            self.fuser.add_robot(name, feed.noise())
-        self.offsets = offsets([log.header for log in logs])
-        self.t = 0.0
+        self.feeds = {name: robot.feed for name, robot in earlier.items()}
+        for log in logs:
+            if log.header.name not in self.feeds:
+                feed = self.feeds[log.header.name] = Feed(log.header)
+                self.fuser.add_robot(log.header.name, feed.noise())
+        headers = [self.feeds[name].mapper.header for name in (*earlier, *names)]
+        common = offsets(headers, [robot.offset for robot in earlier.values()])
+        self._offsets = dict(zip((*earlier, *names), common, strict=True)) | {n: e.offset for n, e in earlier.items()}
+        self.offsets = [self._offsets[name] for name in names]
+        self.t = max((robot.feed.t + robot.offset for robot in earlier.values()), default=0.0)
+
+    def save(self, path: str | Path) -> None:
+        """Fuser and mappers as one file, for `resume`; `OnlineFuser.load` reads it, too. Raises `OutputError`."""
+        save_replay(path, self.fuser, {name: Earlier(feed, self._offsets[name]) for name, feed in self.feeds.items()})
+
+    @classmethod
+    def resume(cls, path: str | Path, logs: Sequence[Log]) -> Replay:
+        """A replay that goes on from where `save` left it; ``logs`` are what came after, of robots that were there or
+        of others.
+
+        Raises `FileFormatError` for a file that holds none, or one of another minor version, which it names;
+        `InputError` where it can't be read.
+        """
+        fuser, earlier = load_replay(path)
+        return cls(logs, fuser, earlier)
 
     def run(self, *, every: float | None = None) -> Iterator[Moment]:
         """All events in the order of their times; a moment each time when the fuser has answered, and ``every`` so
@@ -65,7 +94,7 @@ class Replay:
         for t, name, event in self.events():
             if due is not None and every is not None and t >= due:
                 yield Moment(self.t, False)
-                due = (t // every + 1) * every
+                due = _after(t, every)
             self.t = t
             if self.step(name, event, t):
                 yield Moment(t, True)
@@ -110,6 +139,12 @@ class Replay:
         self.fuser.advance(force=True)
 
 
+def _after(t: float, every: float) -> float:
+    """The first multiple of ``every`` that is later than ``t``, though t may be one but for rounding."""
+    due = (t // every + 1) * every
+    return due if due > t else due + every
+
+
 def _at(message: Item, t: float) -> Item:
     """The message with its time on the common clock."""
     return replace(message, t=t)  # type: ignore[type-var]
@@ -120,13 +155,17 @@ def merged_by_time(streams: Iterable[Iterator[tuple[float, str, LogEvent]]]) -> 
     return heapq.merge(*streams, key=lambda item: item[0])
 
 
-def offsets(headers: Sequence[LogHeader]) -> list[float]:
-    """What to add to each log's times [s]: by ``recorded_at`` where all have it, else nothing."""
+def offsets(headers: Sequence[LogHeader], earlier: Sequence[float] = ()) -> list[float]:
+    """What to add to each log's times [s]: by ``recorded_at`` where all have it, else nothing.
+
+    ``earlier``: what the first ones have, by which the common clock is already set.
+    """
     times = [_recorded(header.recorded_at) for header in headers]
     known = [t for t in times if t is not None]
     if len(known) < len(times) or not known:
         return [0.0] * len(headers)
-    return [t - min(known) for t in known]
+    zero = known[0] - earlier[0] if earlier else min(known)
+    return [t - zero for t in known]
 
 
 def _recorded(text: str | None) -> float | None:

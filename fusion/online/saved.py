@@ -1,7 +1,11 @@
-"""The whole fuser as one JSON file, and back: what was said, and what was weighed last."""
+"""The whole fuser as one JSON file, and back: what was said, and what was weighed last.
+
+A replay's file is the same with what its robots' mappers know (`fusion.online.savedfeeds`).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -66,10 +70,11 @@ class _File(msgspec.Struct):
     segments: list[_Segment]
     weighed: list[dict[str, Any]]
     new: dict[str, int]
+    feeds: dict[str, msgspec.Raw] = {}
 
 
-def write(fuser: OnlineFuser, path: str | Path) -> None:
-    """The fuser as a file, whole or not at all."""
+def write(fuser: OnlineFuser, path: str | Path, feeds: Mapping[str, msgspec.Raw] | None = None) -> None:
+    """The fuser as a file, whole or not at all; ``feeds``: what a replay has of its robots besides."""
     if fuser.waiting:
         fuser.advance(force=True)
     document = _File(
@@ -82,31 +87,48 @@ def write(fuser: OnlineFuser, path: str | Path) -> None:
         [_segment(segment) for segment in fuser.segments.values()],
         [map_to_dict(m) for m in fuser.due_state.weighed.values()],
         dict(fuser.due_state.new),
+        dict(feeds or {}),
     )
     write_whole(path, msgspec.json.encode(document))
 
 
-def read(kind: type[OnlineFuser], path: str | Path, *, worker: bool) -> OnlineFuser:
-    """A fuser as `write` left it."""
-    data = read_whole(path)
+class _Head(msgspec.Struct):
+    format: Any = None
+    mapfuse: Any = None
+
+
+def document_of(data: bytes, path: str | Path) -> _File:
+    """The document in the bytes of the file ``path``. Raises `FileFormatError` for another one or another version's."""
     try:
-        head = msgspec.json.decode(data, type=dict[str, Any])
+        head = msgspec.json.decode(data, type=_Head)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
-        raise _no_fuser(path, "", f"is no saved fuser: {error}") from error
-    if head.get("format") != FORMAT:
-        raise _no_fuser(path, "format", f"must be {FORMAT!r}, not {str(head.get('format'))[:40]!r}")
-    wrote, ours = str(head.get("mapfuse")), version("mapfuse")
+        raise no_fuser(path, "", f"is no saved fuser: {error}") from error
+    if head.format != FORMAT:
+        raise no_fuser(path, "format", f"must be {FORMAT!r}, not {str(head.format)[:40]!r}")
+    wrote, ours = str(head.mapfuse), version("mapfuse")
     if wrote.split(".")[:2] != ours.split(".")[:2]:
         reason = f"was saved by mapfuse {wrote[:20]}; mapfuse {ours} reads what {'.'.join(ours.split('.')[:2])}.x saved"
-        raise _no_fuser(path, "mapfuse", reason)
+        raise no_fuser(path, "mapfuse", reason)
     try:
-        document = msgspec.convert(head, type=_File)
+        return msgspec.json.decode(data, type=_File)
+    except msgspec.ValidationError as error:
+        raise no_fuser(path, "", f"is no saved fuser: {error}") from error
+
+
+def read(kind: type[OnlineFuser], path: str | Path, *, worker: bool) -> OnlineFuser:
+    """A fuser as `write` left it."""
+    return fuser_of(kind, document_of(read_whole(path), path), path, worker=worker)
+
+
+def fuser_of(kind: type[OnlineFuser], document: _File, path: str | Path, *, worker: bool = False) -> OnlineFuser:
+    """The fuser that a document of the file ``path`` holds."""
+    try:
         fuser = kind(_config(document.config), worker=worker)
         weighed = [map_from_dict(m) for m in document.weighed]
         segments = [_as_segment(s) for s in document.segments]
         noise = {name: Noise(**n) for name, n in document.noise.items()}
-    except (msgspec.ValidationError, MapfuseError, TypeError, ValueError, KeyError) as error:
-        raise _no_fuser(path, "", f"is no saved fuser: {error}") from error
+    except (MapfuseError, TypeError, ValueError, KeyError) as error:
+        raise no_fuser(path, "", f"is no saved fuser: {error}") from error
     fuser.restore(
         segments,
         noise,
@@ -118,7 +140,8 @@ def read(kind: type[OnlineFuser], path: str | Path, *, worker: bool) -> OnlineFu
     return fuser
 
 
-def _no_fuser(path: str | Path, place: str, reason: str) -> FileFormatError:
+def no_fuser(path: str | Path, place: str, reason: str) -> FileFormatError:
+    """The error of a file that is no fuser's."""
     return FileFormatError(path, (Problem(place, reason),))
 
 

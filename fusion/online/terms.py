@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import NamedTuple
 
 from mapfuse.datasets.maps import Landmark, LandmarkMap
@@ -46,11 +45,11 @@ def terms_of(
     """What the landmark ``name`` measures in its `neighbourhood`, as map ``r``.
 
     Of ``joined`` landmarks a joint covariance says where they lie to each other, of ``turned`` ones how they are
-    turned, too.
+    turned, too, and together what their compass readings say (`mapfuse.factors.compass.compass_readings`).
     """
     key = LandmarkKey(r, name)
     heading = tuple(m for m in heading_measurements(near, r, turned) if m.b == key)
-    compass = tuple(m for m in compass_readings(near, r) if m.b == key)
+    compass = () if name in turned else tuple(m for m in compass_readings(near, r) if m.b == key)
     links: dict[str, list[LinkMeasurement | RangeMeasurement]] = {}
     for m in link_measurements(near, r):
         a, b = m.unknowns
@@ -65,7 +64,7 @@ def terms_of(
 
 def stripped(landmark: Landmark) -> Landmark:
     """A landmark with arms only."""
-    return replace(without_strangers(landmark, set()))
+    return without_strangers(landmark, set())
 
 
 def all_of(terms: Iterable[tuple[Measurement, ...]]) -> list[Measurement]:

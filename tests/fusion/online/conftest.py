@@ -2,50 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mapfuse.datasets import Landmark, LandmarkMap, Link, se2
+from mapfuse.datasets import LandmarkMap
 from mapfuse.fusion.online import Correction, LandmarkSeen, Message
 
-ARMS = {
-    "end": ((0, "open"), (90, "blocked"), (180, "blocked"), (-90, "blocked")),
-    "end2": ((180, "open"), (90, "blocked"), (0, "blocked"), (-90, "blocked")),
-    "junction+": ((0, "open"), (180, "open"), (90, "open"), (-90, "blocked")),
-    "junction-": ((0, "open"), (180, "open"), (-90, "open"), (90, "blocked")),
-    "door+": ((0, "open"), (180, "open"), (90, "door"), (-90, "blocked")),
-    "door-": ((0, "open"), (180, "open"), (-90, "door"), (90, "blocked")),
-}
-TYPES = {"end": "corner", "end2": "corner", "junction+": "junction", "junction-": "junction"}
-#: Half of the corridor, from its one end to the middle; the other half is the same, turned.
-HALF = ((-36.0, "end"), (-30.0, "door+"), (-25.0, "door-"), (-18.0, "door+"), (-10.0, "junction+"), (-4.0, "door-"))
-TURNED = {"door+": "door-", "door-": "door+", "junction+": "junction-", "end": "end2"}
-WHOLE = (*HALF, *((-x, TURNED[kind]) for x, kind in reversed(HALF)))
-
-
-def corridor(
-    name: str, places: Sequence[tuple[float, str]], frame: np.ndarray, rng: np.random.Generator
-) -> LandmarkMap:
-    """Places (along the corridor, what is there) as a robot maps them whose frame is at ``frame`` in the world."""
-    order = sorted(range(len(places)), key=lambda k: places[k][0])
-    found = []
-    for k, (x, kind) in enumerate(places):
-        rank = order.index(k)
-        xy = se2.transform(se2.inverse(frame), np.array([x, 0.0])) + rng.normal(0, 0.1, 2)
-        links = []
-        for degrees, type_ in ARMS[kind]:
-            heading = float(se2.wrap(np.deg2rad(degrees) - frame[2] + rng.normal(0, 0.02)))
-            far = order[rank + 1] if degrees == 0 and rank + 1 < len(places) else None
-            far = order[rank - 1] if degrees == 180 and rank else far
-            if far is None or type_ != "open":
-                links.append(Link(type_, heading))
-            else:
-                d = abs(places[far][0] - x)
-                links.append(Link(type_, heading, None, f"l{far}", d + rng.normal(0, 0.05 + 0.01 * d), 1))
-        found.append(Landmark(f"l{k}", TYPES.get(kind, "door"), float(xy[0]), float(xy[1]), links=tuple(links)))
-    return LandmarkMap(name, tuple(found), name)
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+try:
+    from online_corridor import HALF, WHOLE, corridor
+finally:
+    sys.path.pop(0)
 
 
 def one_by_one(recorded: LandmarkMap, ids: Iterable[str] | None = None, first: int = 0) -> list[Message]:

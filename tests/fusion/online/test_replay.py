@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapfuse.datasets import read_map, recordings
+from mapfuse.datasets.errors import FileFormatError
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.fusion import OnlineFuser, fuse, read_fused
-from mapfuse.fusion.online.feed import LEAST_NORTH, with_north
 from mapfuse.fusion.online.replay import Nameless, Replay, offsets
 
 #: Places along a corridor (x, what is there), uneven, so that it looks like itself only in one way.
@@ -136,6 +135,72 @@ def test_replay_writes_all_that_it_is_asked_for(logs: tuple[Log, Log], tmp_path:
     assert (first != last).any()
 
 
+def parts(logs, cut: float) -> tuple[list[Log], list[Log]]:
+    """Logs up to a time [s], and what came after."""
+    first = [Log(log.header, tuple(e for e in log.events if e.t < cut)) for log in logs]
+    return first, [Log(log.header, tuple(e for e in log.events if e.t >= cut)) for log in logs]
+
+
+def test_a_replay_in_two_parts_ends_where_one_in_one_ends(logs, replayed, tmp_path, command):
+    for k, part in enumerate(parts(logs, 20.0)):
+        for log in part:
+            write_log(log, tmp_path / f"{log.header.name}{k}.log.jsonl")
+    files = [[tmp_path / f"{name}{k}.log.jsonl" for name in ("west", "east")] for k in range(2)]
+    state, out = tmp_path / "state.json", tmp_path / "both.fused.json"
+    events = [tmp_path / f"events{k}.jsonl" for k in range(2)]
+    assert command("replay", *files[0], "--quiet", "--save-state", state, "--events", events[0]) == 0
+    assert command("replay", *files[1], "--quiet", "--resume", state, "-o", out, "--events", events[1]) == 0
+    fused, straight = read_fused(out), replayed.fuser.fused()
+    assert fused.decision == "merged"
+    assert fused.maps == straight.maps
+    assert np.abs(fused.frames["east"].T.array - straight.frames["east"].T.array).max() < 1e-9
+    told = [json.loads(line) for file in events for line in file.read_text().splitlines()]
+    merged = [event for event in told if event.get("event") == "merged"]
+    assert len(merged) - sum(event.get("event") == "un-merged" for event in told) == 1
+    assert all(event["t"] >= 20.0 for event in map(json.loads, events[1].read_text().splitlines()[1:]))
+
+
+def test_a_robot_may_join_or_stay_away_in_the_second_part(logs, replayed, tmp_path):
+    west, east = logs
+    third = Log(LogHeader("third", sensors=SENSORS), tuple(e for e in west.events if isinstance(e, Odometry)))
+    first = Replay([*parts([west], 20.0)[0], east])
+    for _ in first.run():
+        pass
+    first.save(tmp_path / "state.json")
+    again = Replay.resume(tmp_path / "state.json", [*parts([west], 20.0)[1], third])
+    assert again.t == max(e.t for e in east.events)
+    for _ in again.run():
+        pass
+    fused = again.fuser.fused()
+    assert set(fused.maps) == {"west", "east", "third"}
+    assert fused.sources["east"] == replayed.fuser.fused().sources["east"]
+    assert fused.sources["west"] == replayed.fuser.fused().sources["west"]
+
+
+def test_clocks_stay_common_in_the_second_part():
+    at = "2000-07-01T10:00:{}Z".format
+    headers = [LogHeader("a", recorded_at=at("10")), LogHeader("b", recorded_at=at("40"))]
+    # the first part's common clock began 5 s before a's log
+    assert offsets(headers, [5.0]) == [5.0, 35.0]
+
+
+def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
+    state = tmp_path / "state.json"
+    replayed.fuser.save(state)
+    with pytest.raises(FileFormatError, match=r"holds no mapper of 'east'"):
+        Replay.resume(state, logs)
+    replayed.save(state)
+    whole = json.loads(state.read_text())
+    for change, said in (
+        ({"mapfuse": "77.3.1"}, r"saved by mapfuse 77\.3\.1"),
+        ({"feeds": {**whole["feeds"], "west": {"mapper": {}}}}, r"feeds\.west"),
+        ({"feeds": {**whole["feeds"], "west": {**whole["feeds"]["west"], "mapper": {}}}}, "no saved mapper"),
+    ):
+        state.write_text(json.dumps({**whole, **change}))
+        with pytest.raises(FileFormatError, match=said):
+            Replay.resume(state, logs)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -172,24 +237,16 @@ def test_clocks_are_common_where_all_logs_say_when_they_were_recorded():
     assert offsets([LogHeader("a", recorded_at="yesterday"), LogHeader("b", recorded_at=first)]) == [0.0, 0.0]
 
 
+def test_each_moment_asked_for_comes_once():
+    # 160.2 // 53.4 is 2 and 3 * 53.4 is 160.2
+    events = tuple(Odometry(round(0.2 * k, 1), 0.0, 0.0, 0.0) for k in range(2671))
+    replay = Replay([Log(LogHeader(name), events) for name in "ab"])
+    moments = [moment.t for moment in replay.run(every=53.4)]
+    assert len(moments) == 11
+    assert moments[:9] == pytest.approx([53.4 * k for k in range(1, 10)], abs=0.21)
+
+
 def test_names_are_dropped_as_often_as_the_log_is_read():
     events = Nameless((Odometry(0.0, 0.0, 0.0, 0.0), Detection(0.0, "tree", 1.0, 0.0, (), "oak")))
     for _ in range(2):
         assert [getattr(e, "id", None) for e in events] == [None, None]
-
-
-def test_north_is_told_once_and_as_it_was():
-    recorded = read_map(recordings.path("ground-floor-vespucci"))
-    told = with_north(recorded, 0.4, 0.03)
-    readings = [(l, k) for l in told.landmarks for k in l.links if k.compass is not None]
-    had = [k for l in recorded.landmarks for k in l.links if k.compass is not None]
-    if not had:
-        assert told == recorded
-        return
-    ((landmark, link),) = readings
-    assert link.compass == pytest.approx(float(np.remainder(link.heading - 0.4 + np.pi, 2 * np.pi) - np.pi))
-    assert landmark.detection_counter == max(
-        l.detection_counter for l in recorded.landmarks if any(k.compass is not None for k in l.links)
-    )
-    assert told.noise.compass_sigma == 0.03
-    assert with_north(recorded, 0.4, 0.0).noise.compass_sigma == LEAST_NORTH

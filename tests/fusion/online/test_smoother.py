@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mapfuse.datasets import LandmarkMap, se2
+from mapfuse.datasets.arms import heading_of
+from mapfuse.datasets.maps import JointCovariance
 from mapfuse.datasets.simulation.pairs import simulated_pair
-from mapfuse.factors import FrameKey, LandmarkKey, single_map_problem
+from mapfuse.datasets.values import frozen_array
+from mapfuse.factors import CompassKey, FrameKey, LandmarkKey, single_map_problem
 from mapfuse.fusion import FuseConfig, fuse
 from mapfuse.fusion.online.judge import Judge
 from mapfuse.fusion.online.segment import Segment
@@ -70,6 +75,38 @@ def test_two_merged_maps_are_where_fuse_has_them(merged_pair):
     assert np.allclose(np.sqrt(np.diag(T.covariance)), sigma, rtol=0.1)
     assert smoother.groups == (("A", "B"),)
     assert np.abs(smoother.frame("A").covariance).max() == 0
+
+
+def jointly(recorded: LandmarkMap) -> LandmarkMap:
+    """The map with the covariance that its own measurements give all its landmarks together."""
+    solution = solve(single_map_problem(recorded), FuseConfig().solving)
+    keys = [LandmarkKey(0, i) for i in recorded.ids]
+    poses = {i: solution.poses[key] for i, key in zip(recorded.ids, keys, strict=True)}
+    moved = tuple(
+        replace(l, x=float(poses[l.id][0]), y=float(poses[l.id][1]), links=turned(l, float(poses[l.id][2])))
+        for l in recorded.landmarks
+    )
+    joint = JointCovariance(recorded.ids, 3, frozen_array(solution.joint_covariance(keys)))
+    return recorded.replace(landmarks=moved, joint_covariance=joint)
+
+
+def turned(landmark, theta):
+    """Its links, turned so that it points to ``theta``."""
+    by = theta - (heading_of(landmark) or theta)
+    return tuple(
+        l if l.heading is None else replace(l, heading=float(se2.wrap(l.heading + by))) for l in landmark.links
+    )
+
+
+def test_the_compass_of_a_jointly_known_map_counts_once_as_in_fuse(whole):
+    recorded = jointly(simulated_pair(90_124, compass=True)[0])
+    assert sum(k.compass is not None for l in recorded.landmarks for k in l.links) > 20
+    smoother, segment = Smoother(), Segment("A", 0, recorded.noise)
+    follow(smoother, segment, [whole(recorded)])
+    solution = solve(single_map_problem(segment.map()), FuseConfig().solving)
+    expected = solution.joint_covariance([CompassKey(0)])[2, 2]
+    # each reading by itself would make it some twenty times surer
+    assert smoother.tree.covariance([CompassKey(0)])[2, 2] == pytest.approx(expected, rel=0.2)
 
 
 def test_an_unmerge_takes_the_correspondences_out_and_nothing_else(merged_pair):

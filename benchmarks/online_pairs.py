@@ -1,0 +1,231 @@
+"""Two simulated robots in one hospital, merged while they map: when, how rightly, and whether covariances hold.
+
+Part of ``benchmarks/online.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from mapfuse.datasets import se2
+from mapfuse.datasets.logs import Log
+from mapfuse.datasets.mapper import truth_of_map
+from mapfuse.datasets.simulation import MILKA, VESPUCCI, build, hospital_like, simulate_logs
+from mapfuse.datasets.simulation.simulated_log import SimulatedLog
+from mapfuse.datasets.truth import Truth
+from mapfuse.fusion import FusedMap, fuse
+from mapfuse.fusion.online import Merged, Revised, Unmerged
+from mapfuse.fusion.online.replay import Replay
+from mapfuse.fusion.score import PairScore, score_pair
+
+TENTHS = 10
+#: 99.9 % of a chi-square with 3 degrees of freedom.
+BEYOND = float(chdtri(3, 0.001))
+#: The loop around the block of lifts, corner by corner [m, world].
+RING = np.array([(-9, -6), (9, -6), (9, -2), (9, 6), (-9, 6), (-9, 1.5), (-9, -6)], dtype=float)
+
+Row = dict[str, Any]
+
+
+def hospital(seed: int, _: argparse.Namespace) -> Row:
+    """One pair: West and East wing, replayed together."""
+    logs = simulate_logs(build(hospital_like()), (VESPUCCI, MILKA), seed, starts=("p9", "p13"), scans=False)
+    row = replayed(logs, seed)
+    row["closed"] = [_ring_closed(log) for log in logs]
+    return row
+
+
+def replayed(logs: Sequence[SimulatedLog], seed: int) -> Row:
+    """A replay of two robots: when they merged, what was wrong, errors at each tenth, and the batch result.
+
+    Of landmarks one of the fused ones is drawn at each tenth, since errors of those of one run go together.
+    """
+    replay = Replay([Log(log.header, log.events) for log in logs])
+    end = max(log.events[-1].t for log in logs)
+    draw = np.random.default_rng(seed)
+    tenths: list[list[float] | None] = []
+    merges: list[Row] = []
+    parted: list[float] = []
+    score: PairScore | None = None
+    for moment in replay.run(every=end / TENTHS):
+        if moment.weighed:
+            score = _score(replay, logs)
+        for event in replay.fuser.events():
+            if isinstance(event, Merged | Revised) and score is not None:
+                merges.append({"t": event.t, "kind": event.kind, **_judged(score, replay, logs)})
+            elif isinstance(event, Unmerged):
+                parted.append(event.t)
+        if not moment.weighed:
+            tenths.append(_drawn(score, draw))
+    tenths = [*tenths[: TENTHS - 1], _drawn(score, draw)]
+    fused = replay.fuser.fused()
+    batch = fuse([feed.map() for feed in replay.feeds.values()])
+    return {
+        "end": end,
+        "merges": merges,
+        "parted": parted,
+        "decision": fused.decision,
+        "at_end": _judged(score, replay, logs) if score is not None and score.decision == "merged" else None,
+        "tenths": tenths,
+        "from_batch": _from_batch(fused, batch),
+        "batch": batch.decision,
+        "place_nees": _place_nees(replay, logs),
+    }
+
+
+def _drawn(score: PairScore | None, draw: np.random.Generator) -> list[float] | None:
+    """NEES of T12 and of one landmark; None where nothing is merged."""
+    if score is None or score.decision != "merged" or not len(score.nees_landmarks):
+        return None
+    return [score.nees_T12, float(draw.choice(score.nees_landmarks))]
+
+
+def _truth(replay: Replay, logs: Sequence[SimulatedLog]) -> Truth:
+    fused = replay.fuser.fused()
+    truths = [
+        truth_of_map(fused.sources[log.header.name], replay.feeds[log.header.name].mapper.sources, log.truth)
+        for log in logs
+    ]
+    frames = {name: frame for truth in truths for name, frame in truth.frames.items()}
+    landmarks = {name: ids for truth in truths for name, ids in truth.landmarks.items()}
+    places = {place: xy for truth in truths for place, xy in truth.places.items()}
+    return Truth(frames, landmarks, places)
+
+
+def _score(replay: Replay, logs: Sequence[SimulatedLog]) -> PairScore | None:
+    """The answer just given against the truth; None where a map is still empty."""
+    fused = replay.fuser.fused()
+    return score_pair(fused, _truth(replay, logs)) if len(fused.maps) == len(logs) else None
+
+
+def _judged(score: PairScore, replay: Replay, logs: Sequence[SimulatedLog]) -> Row:
+    """A merge in numbers: whether it is wrong by `PairScore.merged_wrongly`, and how far off the first robot's map is
+    by itself [m, mean of the common landmarks]: no merge puts that right."""
+    fused, truth = replay.fuser.fused(), _truth(replay, logs)
+    first = fused.sources[fused.groups[0][0]]
+    common = [i for l in fused.landmarks if len(l.sources) > 1 for i in l.sources[first.name]]
+    places = [truth.landmarks[first.name][i] for i in common]
+    into = se2.inverse(truth.frames[first.name])
+    own = [
+        float(np.hypot(*(first.positions[first.index_from_id[i]] - se2.transform(into, truth.places[place]))))
+        for i, place in zip(common, places, strict=True)
+        if place is not None
+    ]
+    return {
+        "wrong": score.merged_wrongly,
+        "right": score.right,
+        "reported": score.reported,
+        "off": score.displacement,
+        "own_off": float(np.mean(own)) if own else None,
+        "nees": score.nees_T12,
+    }
+
+
+def _from_batch(fused: FusedMap, batch: FusedMap) -> float | None:
+    """Largest difference of T12 from the batch's in its standard deviations."""
+    if fused.decision != batch.decision or fused.decision != "merged":
+        return None
+    T, B = fused.frames[fused.maps[1]].T, batch.frames[fused.maps[1]].T
+    off = T.array - B.array
+    off[2] = se2.wrap(off[2])
+    return float(np.max(np.abs(off) / np.sqrt(np.diag(B.covariance))))
+
+
+def _place_nees(replay: Replay, logs: Sequence[SimulatedLog]) -> list[float | None]:
+    """NEES (3) of each robot's pose at the end, in the first one's frame."""
+    found: list[float | None] = []
+    places = replay.fuser.places()
+    for log in logs:
+        place = places.get(log.header.name)
+        if place is None or place.frame_of != logs[0].header.name:
+            found.append(None)
+            continue
+        error = place.pose.array - se2.between(logs[0].truth.path[0, 1:], log.truth.path[-1, 1:])
+        error[2] = se2.wrap(error[2])
+        found.append(float(error @ np.linalg.solve(place.pose.covariance, error)))
+    return found
+
+
+def _ring_closed(log: SimulatedLog) -> float | None:
+    """When a robot has been everywhere around the block of lifts; None: never."""
+    steps = [np.linspace(a, b, max(2, int(np.hypot(*(b - a))))) for a, b in pairwise(RING)]
+    path = log.truth.path
+    last = 0.0
+    for point in np.concatenate(steps):
+        near = np.flatnonzero(np.hypot(*(path[:, 1:3] - point).T) < 2.0)
+        if not len(near):
+            return None
+        last = max(last, float(path[near[0], 0]))
+    return last
+
+
+def hospital_table(rows: Sequence[Row]) -> Iterator[str]:
+    """What was asked, and what came out."""
+    n = len(rows)
+    before = sum(_before_loops(row) for row in rows)
+    wrong = [(row, merge) for row in rows for merge in row["merges"] if merge["wrong"]]
+    runs = len({row["seed"] for row, _ in wrong})
+    left = sum(row["at_end"] is not None and row["at_end"]["wrong"] for row in rows)
+    merged = [row for row in rows if row["decision"] == "merged"]
+    apart = [row["from_batch"] for row in rows if row["from_batch"] is not None]
+    same = sum(row["decision"] == row["batch"] for row in rows)
+    false = len({row["seed"] for row, merge in wrong if merge["right"] < 0.8 * merge["reported"]})
+    beyond = len({row["seed"] for row in rows for merge in row["merges"] if merge["nees"] > BEYOND})
+    yield "# Two simulated robots in one hospital, merged while they map"
+    yield ""
+    yield "| | asked | measured |"
+    yield "|---|---|---|"
+    yield f"| merged before both have closed the central loop | 90 % | {100 * before / n:.1f} % ({before} of {n}) |"
+    yield f"| ever merged wrongly | at most 0.5 % | {100 * runs / n:.1f} % ({runs}) |"
+    yield f"| of these with false matches, by which another place is meant | | {false} |"
+    yield f"| of these still wrong at the end | none | {left} |"
+    yield f"| ever merged with T12 outside its own 99.9 % ellipsoid | 0.1 % | {100 * beyond / n:.1f} % ({beyond}) |"
+    yield f"| merged at the end | | {100 * len(merged) / n:.1f} % ({len(merged)}) |"
+    yield f"| decision at the end is the batch's | all | {same} of {n} |"
+    yield f"| T12 from the batch's [sigma], largest | 0.1 | {max(apart, default=float('nan')):.2g} |"
+    place = [value for row in rows for value in row["place_nees"] if value is not None]
+    yield f"| mean NEES of robots' poses at the end, / 3 | {_band(3 * len(place))} | {np.mean(place) / 3:.2f} |"
+    yield ""
+    yield "NEES over degrees of freedom at each tenth of the run, of those merged by then: of T12 (3), and of one"
+    yield "landmark a run, drawn by its seed (2), in the frame of the first robot."
+    yield ""
+    yield "| tenth | merged | T12 | 95 % band | landmark | 95 % band |"
+    yield "|---|---|---|---|---|---|"
+    for k in range(TENTHS):
+        values = np.array([row["tenths"][k] for row in rows if len(row["tenths"]) > k and row["tenths"][k] is not None])
+        if len(values):
+            T12, landmark = values.mean(axis=0) / (3, 2)
+            bands = _band(3 * len(values)), _band(2 * len(values))
+            yield f"| {k + 1} | {len(values)} | {T12:.2f} | {bands[0]} | {landmark:.2f} | {bands[1]} |"
+    times = sorted(row["merges"][0]["t"] / row["end"] for row in rows if row["merges"])
+    if times:
+        yield ""
+        half, most = (100 * np.quantile(times, q) for q in (0.5, 0.9))
+        yield f"First merge at {half:.0f} % of the run (median); 90 % of them by {most:.0f} %."
+    for row, merge in wrong:
+        own = float("nan") if merge["own_off"] is None else merge["own_off"]
+        yield ""
+        yield (
+            f"Seed {row['seed']}, {merge['kind']} at {merge['t']:.0f} s: {merge['right']} of {merge['reported']} "
+            f"matches true, common landmarks {merge['off']:.1f} m off, {own:.1f} m in the first robot's own map; "
+            f"NEES of T12 over 3: {merge['nees'] / 3:.1f}."
+        )
+
+
+def _before_loops(row: Row) -> bool:
+    closed = [row["end"] if t is None else t for t in row["closed"]]
+    return bool(row["merges"]) and row["merges"][0]["t"] < max(closed)
+
+
+def _band(dof: int) -> str:
+    """95 % band of the mean of chi-square values over their degrees of freedom, ``dof`` in all."""
+    if not dof:
+        return "-"
+    low, high = (float(chdtri(dof, q)) / dof for q in (0.975, 0.025))
+    return f"{low:.2f} to {high:.2f}"
