@@ -5,15 +5,19 @@ Maps are drawn from the joint covariance that they state (`drifted`): simulated,
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mapfuse.datasets import se2
+from mapfuse.datasets import se2, write_map
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.simulation.drifted import drifted, driven
 from mapfuse.factors import FrameKey, pair_problem
-from mapfuse.fusion import fuse
+from mapfuse.fusion import fuse, read_fused
+from mapfuse.fusion.batch.packing import config_bytes, config_from_bytes
+from mapfuse.fusion.cli import main
 from mapfuse.fusion.config import FuseConfig, SolvingConfig, WallsConfig
 from mapfuse.fusion.solve import solve
 from mapfuse.fusion.wallfit import evidence_of_walls, with_walls
@@ -114,3 +118,24 @@ def test_one_alcove_decides_a_symmetric_floor_and_only_with_walls(seed: int) -> 
 def test_without_the_alcove_walls_do_not_decide_either() -> None:
     first, second, _ = pair(2_300_000)
     assert fuse([first, second], FuseConfig(walls=WALLS)).decision == "ambiguous"
+
+
+def test_the_parameters_of_walls_reach_the_workers_of_a_batch() -> None:
+    config = FuseConfig(walls=WallsConfig(use=True, gate_m=0.5))
+    assert config_from_bytes(config_bytes(config)) == config
+
+
+def test_the_command_lets_walls_speak(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second, _ = pair(2_200_000, alcove=True)
+    files = [tmp_path / f"{m.name}.map.json" for m in (first, second)]
+    for file, m in zip(files, (first, second), strict=True):
+        write_map(m, file)
+    output = tmp_path / "out.fused.json"
+    arguments = ["mapfuse", "fuse", *map(str, files), "--walls", "--quiet", "-o", str(output)]
+    monkeypatch.setattr("sys.argv", arguments)
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code in (0, None)
+    fused = read_fused(output)
+    assert fused.decision == "merged"
+    assert fused.provenance["config"]["walls"]["use"] is True
