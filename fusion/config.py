@@ -119,7 +119,7 @@ class WallsConfig:
     ``margin_m`` [m]: a wall counts as crossed, or as seen through, only where it is by more than this.
     ``reach_m`` [m]: how far from its way a robot sees walls.
     ``crossing_nats`` [nats]: what a wall that the other robot's way leads through takes off.
-    ``through_nats_per_m`` [nats/m]: what a wall that was seen through another one takes off.
+    ``through_nats`` [nats]: what each metre of wall that was seen through another one takes off.
     ``most_nats`` [nats]: what walls take off at most: whatever they have in common may be wrong.
     """
 
@@ -129,7 +129,7 @@ class WallsConfig:
     margin_m: float = 0.5
     reach_m: float = 5.0
     crossing_nats: float = 3.0
-    through_nats_per_m: float = 1.5
+    through_nats: float = 1.5
     most_nats: float = 10.0
 
     def __post_init__(self) -> None:
@@ -142,7 +142,7 @@ class WallsConfig:
                 "margin_m": (0.01, 10),
                 "reach_m": (0.1, 100),
                 "crossing_nats": (0, 100),
-                "through_nats_per_m": (0, 100),
+                "through_nats": (0, 100),
                 "most_nats": (0, 1000),
             },
         )

@@ -73,7 +73,7 @@ def against(
     (walls1, way1), (walls2, way2) = one, other
     crossed = crossings(walls1, way2, config.margin_m) + crossings(walls2, way1, config.margin_m)
     through = seen_through(walls1, walls2, way2, config) + seen_through(walls2, walls1, way1, config)
-    nats = -min(crossed * config.crossing_nats + through * config.through_nats_per_m, config.most_nats)
+    nats = -min(crossed * config.crossing_nats + through * config.through_nats, config.most_nats)
     return WallEvidence(crossed, through, nats)
 
 
