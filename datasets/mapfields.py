@@ -9,8 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from .jsondata import said, text_fault
-from .maps import LINK_TYPES
+from .maps import LINK_TYPES, Keyframes
 from .rules import (
     ANGLE,
     COUNT,
@@ -155,12 +157,65 @@ _ids = {"type": "array", "items": WORD.schema, "uniqueItems": True}
 _matrix = {"type": "array", "items": {"type": "array", "items": NUMBER.schema}}
 _names = {"type": "object", "additionalProperties": {"type": "object", "additionalProperties": WORD.schema}}
 
+
+def _keyframes(value: Any) -> Keyframes:
+    if isinstance(value, Keyframes):
+        value = {name: getattr(value, name) for name in _KEYFRAMES}
+    if not isinstance(value, dict):
+        raise RuleError(((), f"must be an object, not {said(value)}"))
+    found: dict[str, Array] = {}
+    faults: Faults = []
+    for name in _KEYFRAMES:
+        if name not in value:
+            faults.append(((name,), "is missing"))
+            continue
+        rows = value[name]
+        first = rows[0] if isinstance(rows, list | np.ndarray) and len(rows) else ()
+        width = _WIDTHS.get(name, len(first) if isinstance(first, list | np.ndarray) else 0)
+        try:
+            found[name] = table(rows, width)
+        except RuleError as fault:
+            faults += [((name, *place), reason) for place, reason in fault.faults]
+    for name in value:
+        if name not in _KEYFRAMES:
+            faults.append(((name,), "is no field of keyframes"))
+    if faults:
+        raise RuleError(*faults)
+    size = 3 * len(found["poses"])
+    if found["matrix"].shape != (size, size) or len(found["with_landmarks"]) != size:
+        reason = f"must have three rows for each of {len(found['poses'])} poses"
+        wrong = "matrix" if found["matrix"].shape != (size, size) else "with_landmarks"
+        raise RuleError(((wrong,), reason))
+    numbers = found["walls"][:, 0]
+    if (bad := np.flatnonzero(~np.isin(numbers, np.arange(len(found["poses"]))))).size:
+        raise RuleError((("walls", int(bad[0]), 0), "is the number of none of the poses"))
+    return Keyframes(**found)
+
+
+_KEYFRAMES = ("poses", "walls", "with_landmarks", "matrix")
+_WIDTHS = {"poses": 3, "walls": 5}
+_numbers = {"type": "array", "items": {"type": "array", "items": NUMBER.schema}}
+_keyframes_schema = {
+    "type": "object",
+    "properties": {"poses": rows_schema(NUMBER.schema, NUMBER.schema, NUMBER.schema)}
+    | {"walls": rows_schema(*[NUMBER.schema] * 5)}
+    | dict.fromkeys(_KEYFRAMES[2:], _numbers),
+    "required": list(_KEYFRAMES),
+    "additionalProperties": False,
+}
+
 JOINT_COVARIANCE: Mapping[str, Field] = {
     "order": Field(Rule(_order, _ids), "ids of the landmarks, in the order of the matrix"),
     "rows": Field(one_of(2, 3), "rows per landmark: 2 for x, y; 3 for x, y, heading"),
     "matrix": Field(
         Rule(lambda value: table(value, None), _matrix),
         "their covariance in the map's axes [m, rad, squared], of len(order) * rows rows; may be singular",
+    ),
+    "keyframes": Field(
+        Rule(_keyframes, _keyframes_schema),
+        "poses [x, y, theta] of the robot's way; walls: [number of the pose, x1, y1, x2, y2], straight pieces seen "
+        "from it, in its frame [m]; with_landmarks: the poses' covariance with all rows of the landmarks, matrix: "
+        "their own, map's axes [m, rad, squared]",
     ),
 }
 

@@ -120,7 +120,11 @@ def map_to_dict(map_: LandmarkMap) -> dict[str, Any]:
         if "covariance" in record:
             record["covariance"] = record["covariance"].tolist()
     if "joint_covariance" in document:
-        document["joint_covariance"]["matrix"] = document["joint_covariance"]["matrix"].tolist()
+        joint = document["joint_covariance"]
+        joint["matrix"] = joint["matrix"].tolist()
+        if "keyframes" in joint:
+            keyframes = joint["keyframes"]
+            joint["keyframes"] = {f.name: getattr(keyframes, f.name).tolist() for f in fields(keyframes)}
     if "walls" in document:
         document["walls"] = [wall.tolist() for wall in document["walls"]]
     if "path" in document:
@@ -286,6 +290,12 @@ def _joint_covariance(record: Any, ids: Mapping[str, int], faults: Faults) -> Jo
         faults.append(((*place, "matrix"), reason))
     elif wrong := covariance_fault(matrix):
         faults.append(((*place, "matrix"), wrong))
+    elif (keyframes := values.get("keyframes")) is not None:
+        inside: Place = (*place, "keyframes")
+        if len(keyframes.poses) and keyframes.with_landmarks.shape[1] != size:
+            faults.append(((*inside, "with_landmarks"), f"must have {size} columns, one for each row of the landmarks"))
+        elif wrong := covariance_fault(keyframes.matrix):
+            faults.append(((*inside, "matrix"), wrong))
     return None if len(faults) > before else JointCovariance(**values)
 
 
@@ -301,7 +311,7 @@ def _described(map_: LandmarkMap) -> tuple[dict[str, Any], tuple[Problem, ...]]:
     document["landmarks"] = [_landmark(landmark, k, faults) for k, landmark in enumerate(map_.landmarks)]
     if (joint := map_.joint_covariance) is not None:
         extra = _extra(joint, JOINT_COVARIANCE, ("joint_covariance",), faults)
-        document["joint_covariance"] = _record(joint, JOINT_COVARIANCE, JOINT_COVARIANCE) | extra
+        document["joint_covariance"] = _record(joint, JOINT_COVARIANCE, ("order", "rows", "matrix")) | extra
     document |= _record(map_, ("walls", "path", "same_as"))
     document |= _extra(map_, (*MAP, "format", "noise", "landmarks", "joint_covariance"), (), faults)
     _, problems = check_map(document)

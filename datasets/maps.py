@@ -114,13 +114,49 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Keyframes:
+    """Poses on the robot's way with their errors, and the walls that were seen from each.
+
+    ``poses`` (m, 3): x, y [m], theta [rad]. ``walls`` (k, 5): straight pieces of wall, each the number of its pose and
+    both ends x1, y1, x2, y2 [m] in the frame of that pose. ``matrix`` (3m, 3m): joint covariance of the poses,
+    ``with_landmarks`` (3m, n): the one with all rows of the `JointCovariance` that they belong to; map axes.
+    """
+
+    poses: Array
+    walls: Array
+    with_landmarks: Array
+    matrix: Array
+
+    def __post_init__(self) -> None:
+        for name in ("poses", "walls", "with_landmarks", "matrix"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    def __eq__(self, other: object) -> bool:
+        return same_fields(self, other)
+
+    def __hash__(self) -> int:
+        return hash(len(self.poses))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return rebuilt(self)
+
+    def scaled(self, scale: float) -> Keyframes:
+        """The same with all standard deviations multiplied by ``scale``."""
+        return Keyframes(self.poses, self.walls, self.with_landmarks * scale**2, self.matrix * scale**2)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class JointCovariance:
-    """Covariance of all ``order``-ed landmarks at once, ``rows`` (2: x, y; 3: and heading) per landmark, map axes."""
+    """Covariance of all ``order``-ed landmarks at once, ``rows`` (2: x, y; 3: and heading) per landmark, map axes.
+
+    ``keyframes``: poses of the robot's way, known together with the landmarks.
+    """
 
     order: tuple[str, ...]
     rows: int
     matrix: Array
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False, hash=False)
+    keyframes: Keyframes | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", tuple(self.order))

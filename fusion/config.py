@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +113,45 @@ class DecisionConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class WallsConfig:
+    """Whether and how walls speak, where both maps carry walls and a path; docs/walls.md.
+
+    ``use``: whether they do.
+    ``gate_m`` [m]: walls of two maps that lie further apart than this are not the same.
+    ``gate_sigma``: nor are those further apart than so many standard deviations.
+    ``margin_m`` [m]: a wall counts as crossed, or as seen through, only where it is by more than this.
+    ``reach_m`` [m]: how far from its way a robot sees walls.
+    ``crossing_nats`` [nats]: what a wall that the other robot's way leads through takes off.
+    ``through_nats`` [nats]: what each metre of wall that was seen through another one takes off.
+    ``most_nats`` [nats]: what walls take off at most: whatever they have in common may be wrong.
+    """
+
+    use: bool = False
+    gate_m: float = 0.75
+    gate_sigma: float = 4.0
+    margin_m: float = 0.5
+    reach_m: float = 5.0
+    crossing_nats: float = 3.0
+    through_nats: float = 1.5
+    most_nats: float = 10.0
+
+    def __post_init__(self) -> None:
+        _check(
+            "walls",
+            self,
+            {
+                "gate_m": (0.01, 10),
+                "gate_sigma": (1, 100),
+                "margin_m": (0.01, 10),
+                "reach_m": (0.1, 100),
+                "crossing_nats": (0, 100),
+                "through_nats": (0, 100),
+                "most_nats": (0, 1000),
+            },
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class FuseConfig:
     """All parameters of `fuse`."""
 
@@ -118,3 +159,14 @@ class FuseConfig:
     solving: SolvingConfig = field(default_factory=SolvingConfig)
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
+    walls: WallsConfig = field(default_factory=WallsConfig)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Mapping[str, Any]]) -> FuseConfig:
+        """Of what `dataclasses.asdict` gives; a section that is left out is as by default.
+
+        >>> FuseConfig.from_dict({"decision": {"accept": 0.9}}).decision.accept
+        0.9
+        """
+        sections = {f.name: f.default_factory for f in fields(cls)}
+        return cls(**{name: sections[name](**given) for name, given in values.items()})  # type: ignore[operator]

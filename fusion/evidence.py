@@ -38,7 +38,8 @@ class Terms:
     ``arms``: blocked arms that the other robot drove through, or that contradict. ``crossings``: corridors of either
     map that cross one of the other where neither has a landmark. ``compass``: agreement of north.
     ``known``: landmarks that the maps themselves say are the same (``same_as``). ``stated``: agreement with what the
-    user knows of T12 (`mapfuse.fusion.known.KnownTransform`).
+    user knows of T12 (`mapfuse.fusion.known.KnownTransform`). ``walls``: walls that the other
+    robot drove or saw through.
     """
 
     prior: float = 0.0
@@ -52,6 +53,7 @@ class Terms:
     compass: float = 0.0
     known: float = 0.0
     stated: float = 0.0
+    walls: float = 0.0
 
     @property
     def total(self) -> float:
@@ -63,8 +65,8 @@ class Terms:
 class Weighed:
     """A grown hypothesis with its evidence.
 
-    ``apart`` [nats]: what tells it from an alias of the right place whatever is missing: blocked arms, bare crossings
-    and compass.
+    ``apart`` [nats]: what tells it from an alias of the right place whatever is missing: blocked arms, bare crossings,
+    compass and walls.
     ``lacking`` (6,): what is there and what is missing, as the odds of an alias that lacks each of
     `mapfuse.fusion.repetition.LACKING`. ``missed1``, ``missed2``: landmarks of map 1, map 2 that the other robot passed
     without recording them; ``through1``, ``through2``: how many blocked arms of each of these it drove through

@@ -38,7 +38,11 @@ def shifted(recorded: LandmarkMap, by: Array) -> LandmarkMap:
         return recorded
     x, y = by.tolist()
     path = recorded.path
+    joint = recorded.joint_covariance
+    if joint is not None and joint.keyframes is not None:
+        joint = replace(joint, keyframes=replace(joint.keyframes, poses=joint.keyframes.poses - np.array([x, y, 0.0])))
     return recorded.replace(
+        joint_covariance=joint,
         landmarks=tuple(replace(landmark, x=landmark.x - x, y=landmark.y - y) for landmark in recorded.landmarks),
         walls=tuple(wall - by for wall in recorded.walls),
         path=None if path is None else path - np.array([0.0, x, y, 0.0]),

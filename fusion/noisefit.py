@@ -55,7 +55,9 @@ def noise_fits(solution: Solution, used: Sequence[float] | None = None) -> tuple
     J = csr_array((values[inside], (rows[inside], columns[inside])), shape=(height, size))
     squares = np.zeros(height)
     squares[rows[~inside]] = values[~inside] ** 2
-    fitted = _fitted(J, solution, np.array([solution.poses[u][2] for u in unknowns]))
+    asked = np.repeat([isinstance(m, _OF_ONE_MAP) for m in problem.measurements], np.diff(ends, prepend=0))
+    fitted = np.zeros(height)
+    fitted[asked] = _fitted(J[asked], solution, np.array([solution.poses[u][2] for u in unknowns]))
     chi2, redundancy = np.zeros(len(problem.maps)), np.zeros(len(problem.maps))
     for measurement, end, count in zip(problem.measurements, ends, np.diff(ends, prepend=0), strict=True):
         if isinstance(measurement, _OF_ONE_MAP):
@@ -105,7 +107,8 @@ def scaled(recorded: LandmarkMap, scale: float) -> LandmarkMap:
     noise = replace(recorded.noise, **{name: scale * getattr(recorded.noise, name) for name in names})
     joint = recorded.joint_covariance
     if joint is not None:
-        joint = JointCovariance(joint.order, joint.rows, joint.matrix * scale**2, joint.extra)
+        keyframes = None if joint.keyframes is None else joint.keyframes.scaled(scale)
+        joint = JointCovariance(joint.order, joint.rows, joint.matrix * scale**2, joint.extra, keyframes)
     landmarks: Sequence[Landmark] = [
         landmark if landmark.covariance is None else replace(landmark, covariance=landmark.covariance * scale**2)
         for landmark in recorded.landmarks

@@ -24,6 +24,7 @@ from .known import agreeing, check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
 from .repetition import repeats
 from .solve import Solution, solve
+from .wallfit import weighed_by_walls
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,8 @@ NEGLIGIBLE = 1e-4
 #: A proposal whose score is so far [nats] below the best one's isn't grown. Of 36 tuning pairs no hypothesis within 20
 #: nats of the best, or above -6, had a score more than 41 below, but those that grew to the answer of a better one.
 HOPELESS = 50.0
+#: How often hypotheses are weighed again where walls speak.
+WALL_ROUNDS = 5
 #: Log odds against no overlap [nats] below which a rival is no image of another placement.
 LEAST_RIVAL = -5.0
 
@@ -127,7 +130,7 @@ def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Wei
         if keep.any():
             growth = Growth(Joined(m1, m2, joined.T12, joined.i[keep], joined.j[keep]), w.growth.rounds)
             w = weigh(growth, background, config.evidence)
-    return w, solution
+    return weighed_by_walls(w, solution, config.walls) if config.walls.use else (w, solution)
 
 
 def judged(weighed: list[Weighed], background: Background, config: FuseConfig, self_match: bool = True) -> Verdict:
@@ -159,17 +162,22 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, stated: Tran
     weighed = [told(weigh(g, background, config.evidence)) for g in grown]
     weighed = distinct(weighed, config.matching.tolerance_m)
     verdict = judged(weighed, background, config)
-    solved: dict[int, tuple[Weighed, Solution]] = {}
-    for w, probability in zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False):
-        if probability >= NEGLIGIBLE:  # what cannot be the answer keeps the elastic match's T12
-            solved[id(w)] = _solved(w, background, config)
-    first = verdict.ranked
-    again = [told(solved[id(w)][0]) if id(w) in solved else w for w in first]
-    verdict = judged(again, background, config)
+    answers = list(verdict.ranked)
+    solutions: dict[int, Solution] = {}
+    # walls may turn against the best ones, so that others come to the fore that no graph was solved of
+    for _ in range(WALL_ROUNDS if config.walls.use else 1):
+        shortlist = zip(verdict.ranked[: config.solving.shortlist], verdict.probabilities, strict=False)
+        # what cannot be the answer keeps the elastic match's T12
+        chosen = {id(w) for w, probability in shortlist if probability >= NEGLIGIBLE} - solutions.keys()
+        if not chosen and solutions:
+            break
+        for k, w in enumerate(answers):
+            if id(w) in chosen:
+                after, solution = _solved(w, background, config)
+                answers[k] = told(after)
+                solutions[id(answers[k])] = solution
+        verdict = judged(answers, background, config)
     check_known(verdict.ranked, m1, m2, known)
-    solutions = {
-        id(after): solved[id(before)][1] for before, after in zip(first, again, strict=True) if id(before) in solved
-    }
     best = verdict.ranked[0] if verdict.decision == "merged" else None
     if best is not None and id(best) not in solutions:  # weighed again, one beyond the shortlist may come out first
         solutions[id(best)] = _solved(best, background, config)[1]

@@ -16,25 +16,10 @@ from scipy.spatial import cKDTree
 from mapfuse.datasets import se2
 from mapfuse.datasets.maps import LandmarkMap
 
+from .config import WallsConfig
 from .walls import WallConfig, align, segments, wall_points
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class SpaceConfig:
-    """``margin_m``: a wall counts as crossed, or as seen through, only where it is by more than this.
-
-    ``reach_m``: how far from its way a robot sees walls. ``crossing_nats``: what a wall that a way leads through takes
-    off; ``through_nats_per_m``: a metre of wall that was seen through another one; ``most_nats``: all together. The
-    prices are judgements, to be calibrated where they enter a posterior.
-    """
-
-    margin_m: float = 0.5
-    reach_m: float = 5.0
-    crossing_nats: float = 3.0
-    through_nats_per_m: float = 1.5
-    most_nats: float = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +38,7 @@ def wall_evidence(
     map1: LandmarkMap,
     map2: LandmarkMap,
     T12: ArrayLike,
-    config: SpaceConfig | None = None,
+    config: WallsConfig | None = None,
     placed: tuple[Array, Array] | None = None,
 ) -> WallEvidence | None:
     """What walls and ways of both maps say against ``T12`` (3,), each map's against the other's.
@@ -63,7 +48,7 @@ def wall_evidence(
     then bent as the landmarks near them. Without it the maps are rigid, and map 2 is first laid on its walls
     (`mapfuse.fusion.walls.align`), so that what the hypothesis is slightly off by is not held against it.
     """
-    config = config or SpaceConfig()
+    config = config or WallsConfig()
     way1, way2 = way_of(map1), way_of(map2)
     if not map1.walls or not map2.walls or len(way1) < 2 or len(way2) < 2:
         return None
@@ -78,9 +63,17 @@ def wall_evidence(
         at2 = se2.transform(T, map2.positions)
         walls1, way1 = [bent(line, map1.positions, placed[0]) for line in walls1], bent(way1, map1.positions, placed[0])
         walls2, way2 = [bent(line, at2, placed[1]) for line in walls2], bent(way2, at2, placed[1])
+    return against((walls1, way1), (walls2, way2), config)
+
+
+def against(
+    one: tuple[Sequence[ArrayLike], Array], other: tuple[Sequence[ArrayLike], Array], config: WallsConfig
+) -> WallEvidence:
+    """What walls and the way (n, 2) of either map say against the other's, all of them in one frame."""
+    (walls1, way1), (walls2, way2) = one, other
     crossed = crossings(walls1, way2, config.margin_m) + crossings(walls2, way1, config.margin_m)
     through = seen_through(walls1, walls2, way2, config) + seen_through(walls2, walls1, way1, config)
-    nats = -min(crossed * config.crossing_nats + through * config.through_nats_per_m, config.most_nats)
+    nats = -min(crossed * config.crossing_nats + through * config.through_nats, config.most_nats)
     return WallEvidence(crossed, through, nats)
 
 
@@ -148,7 +141,7 @@ def _deep(side: Array, at: NDArray[np.intp], margin_m: float) -> bool:
     return False
 
 
-def seen_through(walls: Sequence[ArrayLike], own: Sequence[ArrayLike], way: Array, config: SpaceConfig) -> float:
+def seen_through(walls: Sequence[ArrayLike], own: Sequence[ArrayLike], way: Array, config: WallsConfig) -> float:
     """Length [m] of ``own`` walls that a robot saw from its ``way`` (n, 2) through ``walls``, which so aren't there.
 
     Seen is what is within its reach with none of its own walls in between. That a robot lacks a wall is not held
@@ -156,7 +149,7 @@ def seen_through(walls: Sequence[ArrayLike], own: Sequence[ArrayLike], way: Arra
 
     >>> own, other = [[[-2.0, 2.0], [2.0, 2.0]]], [[[-9.0, 1.0], [9.0, 1.0]]]
     >>> way = np.array([[-2.0, 0.0], [2.0, 0.0]])
-    >>> [seen_through(walls, own, way, SpaceConfig()) for walls in (other, own)]
+    >>> [seen_through(walls, own, way, WallsConfig()) for walls in (other, own)]
     [4.0, 0.0]
     """
     spacing = 0.25

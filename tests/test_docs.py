@@ -107,6 +107,7 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
         "compass": 0.0,
         "known": 0.0,
         "stated": 0.0,
+        "walls": 0.0,
     }
     found = {field.name: getattr(weighed.terms, field.name) for field in fields(weighed.terms)}
     assert found == pytest.approx(expected, abs=2e-3)

@@ -25,7 +25,9 @@ class MapperConfig:
     and those of any rival by ``loop_margin_nats``. ``seen_twice``: probability that one place stands twice in a map,
     for the last look for doubles.
 
-    Keyframes: one is made at each detection and at least every ``stretch`` [m] of travel. The path is written every
+    Keyframes: one is made at each detection and at least every ``stretch`` [m] of travel, of robots whose scans
+    have many beams every ``scan_stretch``, and before a scan where the robot has turned by ``scan_turn`` [rad] since
+    the last one. The path is written every
     ``path_step`` [m]. Compass readings of the last ``compass_window`` [m] make one reading every ``compass_stretch``
     shares of the bend's length. A landmark is passed where the robot comes within ``pass_distance`` [m] of it.
     ``smooth_every``: the filter is linearised anew when the keyframes have grown by this share since the last time.
@@ -57,6 +59,8 @@ class MapperConfig:
     loop_margin_nats: float = 1.5
     seen_twice: float = 0.05
     stretch: float = 5.0
+    scan_stretch: float = 5.0
+    scan_turn: float = 1000.0
     compass_window: float = 0.5
     compass_stretch: float = 0.75
     pass_distance: float = 1.2
@@ -77,3 +81,7 @@ class MapperConfig:
         for name in ("gate", "arm_right", "seen_twice", "forget_below"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be above 0 and below 1, not {getattr(self, name)}")
+
+
+#: For maps with keyframes: what is seen from one is only as well known as odometry from there on.
+WITH_KEYFRAMES = MapperConfig(stretch=3.0, scan_stretch=1.0, scan_turn=0.3)

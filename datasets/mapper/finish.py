@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from math import atan2, log, pi
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from .. import se2
 from ..arms import wrap
 from ..logs import SensedArm
-from ..maps import JointCovariance, Landmark, LandmarkMap, Link, LinkType, Noise
+from ..maps import JointCovariance, Keyframes, Landmark, LandmarkMap, Link, LinkType, Noise
 from ..values import frozen_array
 from .association import chi2_beyond, overlay, wrap_any
 from .config import MapperConfig
@@ -39,6 +40,8 @@ _FLOOR = 0.05
 #: Rounds of joining doubles.
 _ROUNDS = 10
 _MAX_LINKS = 4
+#: Keyframes that a map tells of are at least this far [m] of way from each other.
+_KEYFRAMES_APART = 2.5
 #: An arm that was sensed in a smaller share of its landmark's sightings is none, where there are enough of those.
 _ARM_SHARE, _ENOUGH = 0.25, 4
 #: Least standard deviations that a map claims: heading [rad], distance per metre and floor [m], position [m].
@@ -81,8 +84,8 @@ class Finished:
         """Place of each landmark in the estimate."""
         return {key: k for k, key in enumerate(self.landmarks)}
 
-    def map(self, joint: bool) -> LandmarkMap:
-        """The map; with the joint covariance of all landmarks if asked."""
+    def map(self, joint: bool, keyframes: bool = False) -> LandmarkMap:
+        """The map; with the joint covariance of all landmarks if asked, and with the keyframes' in it."""
         rows = _Rows(self)
         header = self.mapper.header
         landmarks, jacobians = rows.landmarks()
@@ -102,7 +105,30 @@ class Finished:
         dims = 3 if all(len(J) == 3 for J in jacobians) else 2
         J = np.concatenate([j[:dims] for j in jacobians])
         matrix = se2.propagate(J, covariance)
-        return map_.replace(joint_covariance=JointCovariance(map_.ids, dims, frozen_array(matrix)))
+        known = self._keyframes(J) if keyframes and map_.walls else None
+        return map_.replace(joint_covariance=JointCovariance(map_.ids, dims, frozen_array(matrix), {}, known))
+
+    def _keyframes(self, J: Array) -> Keyframes:
+        """Keyframes all along the way, with the walls seen from each alone; ``J``: the landmarks' rows.
+
+        Walls of the map are joined from scans of many keyframes, whose errors differ; those of one keyframe are not.
+        """
+        memory, poses = self.memory, self.smoothed.estimate.poses
+        still = np.zeros_like(poses)
+        chosen: list[int] = []
+        walls: list[tuple[float, ...]] = []
+        for k, frame in enumerate(memory.keyframes):
+            if chosen and frame.way - memory.keyframes[chosen[-1]].way < _KEYFRAMES_APART:
+                continue
+            pieces = [piece for piece in memory.pieces if piece.keyframe == k]
+            seen = walls_of(pieces, [hit for hit in memory.hits if hit.keyframe == k], still, self.mapper.config)
+            if seen:
+                ends = [(*a, *b) for line in seen for a, b in pairwise(line.tolist())]
+                walls += [(float(len(chosen)), *numbers) for numbers in ends]
+                chosen.append(k)
+        matrix, with_border = self.smoothed.keyframe_covariance(np.array(chosen, dtype=np.intp))
+        at = np.column_stack([poses[chosen, :2], se2.wrap(poses[chosen, 2])])
+        return Keyframes(at, np.array(walls).reshape(-1, 5), with_border @ J.T, matrix)
 
 
 def finish(mapper: Mapper) -> Finished:

@@ -131,12 +131,14 @@ class Mapper:
         """Way travelled [m]."""
         return self.state.memory.keyframes[-1].way + self.state.reckoning.length
 
-    def map(self, *, joint: bool = False) -> LandmarkMap:
+    def map(self, *, joint: bool = False, keyframes: bool = False) -> LandmarkMap:
         """The map so far, computed from all that is remembered; with its ``joint_covariance`` if asked.
+
+        ``keyframes``: that covariance holds poses of the way too, and the walls seen from each (`Keyframes`).
 
         Asking changes nothing of what comes later.
         """
-        return self._finished().map(joint)
+        return self._finished().map(joint or keyframes, keyframes)
 
     def _finished(self) -> finish.Finished:
         if self._cache is None or self._cache[0] != self._version:
@@ -194,7 +196,8 @@ class Mapper:
 
     def _waypoint(self) -> None:
         """The robot has come a step further: remember the place, and read the compass where that is due."""
-        if self._station_due() or self.state.reckoning.length >= self.config.stretch:
+        stretch = self.config.scan_stretch if self.state.memory.pieces else self.config.stretch
+        if self._station_due() or self.state.reckoning.length >= min(stretch, self.config.stretch):
             self._keyframe()
             if self._station_due():
                 self._station()
@@ -543,6 +546,9 @@ class Mapper:
         r = self.state.reckoning
         if self.length - self.state.way_of_scan < _SCAN_STEP and abs(r.theta - self.state.turn_of_scan) < _SCAN_TURN:
             return
+        if abs(r.theta) > self.config.scan_turn:
+            self._keyframe()
+            r = self.state.reckoning
         self.state.way_of_scan, self.state.turn_of_scan = self.length, r.theta
         keyframe = len(self.state.memory.keyframes) - 1
         memory, here = self.state.memory, (r.x, r.y, r.theta)

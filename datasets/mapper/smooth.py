@@ -37,11 +37,16 @@ class Smoothed:
     weights: Array
     squared: Array
     converged: bool
+    _eliminated: _Schur
 
     @property
     def landmark_rows(self) -> int:
         """Row of the covariance at which the landmarks begin: x, y of each, then the arms' directions."""
         return FIRST_NODE + len(self.estimate.bends)
+
+    def keyframe_covariance(self, which: Array) -> tuple[Array, Array]:
+        """Joint covariance (3k, 3k) of some keyframes' poses, and theirs with the border (3k, size)."""
+        return self._eliminated.poses(which, self.covariance)
 
 
 def drive_of(
@@ -104,7 +109,7 @@ def smooth(drive: Drive, start: Estimate, robust_gate: float) -> Smoothed:
     estimate, converged = _descend(drive, rough, robust_gate, CONVERGED, _ITERATIONS)
     system = linearise(drive, estimate, robust_gate)
     schur = _Schur(system, 0.0)
-    return Smoothed(estimate, system.error, schur.covariance(), system.weights, system.squared, converged)
+    return Smoothed(estimate, system.error, schur.covariance(), system.weights, system.squared, converged, schur)
 
 
 def _descend(drive: Drive, start: Estimate, gate: float, until: float, iterations: int) -> tuple[Estimate, bool]:
@@ -186,3 +191,26 @@ class _Schur:
         """Covariance of the border's entries."""
         out = cho_solve(self.border, np.eye(len(self.system.border)))
         return np.asarray((out + out.T) / 2, dtype=float)
+
+    def poses(self, which: Array, covariance: Array) -> tuple[Array, Array]:
+        """Covariance (3k, 3k) of keyframes' poses, and theirs with the border (3k, size) of that ``covariance``.
+
+        With B the band, C the coupling and S the border's covariance: poses given the border are off by
+        -inv(B) C times what the border is off by, and by errors of covariance inv(B) of their own.
+        """
+        banded = self.system.band.shape[1]
+        rows = (3 * np.asarray(which)[:, None] + np.arange(3)).ravel()
+        inside = np.flatnonzero(rows < banded)
+        own = np.zeros((len(rows), len(rows)))
+        by_border = np.zeros((len(rows), len(covariance)))
+        if self.factor is not None:
+            unit = np.zeros((banded, len(inside)))
+            unit[rows[inside], np.arange(len(inside))] = 1.0
+            X = cho_solve_banded((self.factor, False), unit)
+            own[np.ix_(inside, inside)] = X[rows[inside]]
+            by_border[inside] = -(self.system.coupling.T @ X).T
+        last = np.flatnonzero(rows >= banded)
+        by_border[last, rows[last] - banded] = 1.0
+        cross = by_border @ covariance
+        C = own + cross @ by_border.T
+        return (C + C.T) / 2, cross

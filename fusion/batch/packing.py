@@ -14,9 +14,8 @@ from mapfuse.datasets.jsondata import encode
 from mapfuse.datasets.mapfile import check_map, map_to_dict
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
-from mapfuse.matching.config import MatchingConfig
 
-from ..config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
+from ..config import FuseConfig
 from ..consistent import Choice, Pair
 from ..evidence import Terms
 from ..pairwise import Candidate, Comparison
@@ -57,13 +56,7 @@ def config_bytes(config: FuseConfig) -> bytes:
 
 def config_from_bytes(data: bytes) -> FuseConfig:
     """The parameters of `config_bytes`."""
-    parts = _unpack(data)
-    return FuseConfig(
-        MatchingConfig(**parts["matching"]),
-        SolvingConfig(**parts["solving"]),
-        EvidenceConfig(**parts["evidence"]),
-        DecisionConfig(**parts["decision"]),
-    )
+    return FuseConfig.from_dict(_unpack(data))
 
 
 def comparison_bytes(comparison: Comparison) -> bytes:

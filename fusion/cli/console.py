@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -38,6 +38,11 @@ def _without_controls(text: str) -> str:
 def say(text: str) -> None:
     """Print to standard output; a reader that has gone away (``| head``) is no error."""
     _write(_without_controls(text) + "\n")
+
+
+def teller(*, quiet: bool) -> Callable[[str], None]:
+    """`say`, or what says nothing."""
+    return (lambda _: None) if quiet else say
 
 
 def say_bytes(data: bytes) -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import anymap
-from .console import UsageError, check_outputs, say, warn_on_stderr
+from .console import Quiet, UsageError, Verbose, check_outputs, teller, warn_on_stderr
+from .progress import stages
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
@@ -31,19 +32,23 @@ def convert(
     group: Annotated[
         int, typer.Option("--group", min=0, help="Which group of a result whose maps weren't all merged.")
     ] = 0,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Convert a map to another format, and say what that can't hold; `mapfuse formats` lists all formats."""
     from mapfuse.datasets.formats import registry
 
     check_outputs({"OUT": target}, [source])
-    warn_on_stderr()
+    warn_on_stderr(verbose=verbose)
+    tell = teller(quiet=quiet)
     writer = registry.named(target_format) if target_format is not None else registry.writer_of(target)
-    map_ = _map(source, source_format, anymap.options(given or []), group, to_own=writer.name == "map")
-    _, lost = registry.write_any(map_, target, format=writer.name)
-    say(f"{map_.name}: {len(map_)} landmark{'' if len(map_) == 1 else 's'}")
-    say(f"wrote {target} as {writer.title} ({writer.name})")
+    with stages(f"converting {source.name}", quiet=quiet):
+        map_ = _map(source, source_format, anymap.options(given or []), group, to_own=writer.name == "map")
+        _, lost = registry.write_any(map_, target, format=writer.name)
+    tell(f"{map_.name}: {len(map_)} landmark{'' if len(map_) == 1 else 's'}")
+    tell(f"wrote {target} as {writer.title} ({writer.name})")
     if lost:
-        say(f"lost: {', '.join(lost)}")
+        tell(f"lost: {', '.join(lost)}")
 
 
 def _map(source: Path, source_format: str | None, given: dict[str, str], group: int, *, to_own: bool) -> LandmarkMap:

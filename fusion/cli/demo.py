@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import UsageError, log_levels, say, writing
+from .console import Quiet, UsageError, log_levels, teller, writing
+from .progress import stages
 
 if TYPE_CHECKING:
     from mapfuse.datasets.maps import LandmarkMap
@@ -62,6 +63,8 @@ def demo(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="The folder to write into.")] = Path(
         "mapfuse-demo"
     ),
+    *,
+    quiet: Quiet = False,
 ) -> None:
     """Fuse the built-in recordings; write maps, results and pictures into a folder, and say what each is."""
     import logging
@@ -73,11 +76,11 @@ def demo(
     # what is odd in these maps is known and meant; that the first run compiles isn't
     with log_levels(mapfuse=logging.ERROR, matching=logging.WARNING):
         for case in CASES:
-            _run(case, output)
-    say(f"Pictures, results and maps are in {output}")
+            _run(case, output, quiet=quiet)
+    teller(quiet=quiet)(f"Pictures, results and maps are in {output}")
 
 
-def _run(case: Case, folder: Path) -> None:
+def _run(case: Case, folder: Path, *, quiet: bool) -> None:
     from mapfuse.datasets import write_map
     from mapfuse.fusion import fuse, write_fused
     from mapfuse.fusion.show import draw_fused
@@ -85,7 +88,8 @@ def _run(case: Case, folder: Path) -> None:
     from .summary import summarise
 
     maps = case.load()
-    fused = fuse(maps)
+    with stages(f"fusing {case.name}", quiet=quiet):
+        fused = fuse(maps)
     recorded = [folder / f"{map_.name}.map.json" for map_ in maps]
     result, picture = folder / f"{case.name}.fused.json", folder / f"{case.name}.png"
     for path, map_ in zip(recorded, maps, strict=True):
@@ -93,4 +97,4 @@ def _run(case: Case, folder: Path) -> None:
     write_fused(fused, result)
     with writing(picture):
         draw_fused(fused, picture)
-    say(f"{case.name} ({case.about})\n{summarise(fused)}\n  wrote {result}, {picture}\n")
+    teller(quiet=quiet)(f"{case.name} ({case.about})\n{summarise(fused)}\n  wrote {result}, {picture}\n")

@@ -97,6 +97,9 @@ def fuse_files(
         bool,
         typer.Option("--estimate-noise", help="Use the noise that each map's own residuals speak for."),
     ] = False,
+    walls: Annotated[
+        bool, typer.Option("--walls", help="Let walls speak too, where maps have them (walls.use); docs/walls.md.")
+    ] = False,
     mode: Annotated[Mode | None, typer.Option("--mode", help="How hypotheses are proposed.")] = None,
     config: Annotated[
         Path | None, typer.Option("--config", metavar="FILE", help="Parameters; see `mapfuse config`.")
@@ -114,7 +117,7 @@ def fuse_files(
     outputs = {"-o": output, "--plot": plot, "--report": report, "--map": merged_map, "--grid": grid}
     check_outputs(outputs, [*maps, *([config] if config else [])])
     warn_on_stderr(verbose=verbose)
-    settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise)
+    settings = _settings(config, accept, overlap_prior, mode, estimate_noise=estimate_noise, walls=walls)
     recorded = _left(anymap.read_maps(maps, anymap.options(given or []), quiet=quiet), without or ())
 
     from mapfuse.fusion import as_reference, fuse
@@ -149,7 +152,13 @@ def _known(near: tuple[str, str, float, float, float, float, float] | None) -> l
 
 
 def _settings(
-    config: Path | None, accept: float | None, overlap_prior: float | None, mode: Mode | None, *, estimate_noise: bool
+    config: Path | None,
+    accept: float | None,
+    overlap_prior: float | None,
+    mode: Mode | None,
+    *,
+    estimate_noise: bool,
+    walls: bool,
 ) -> FuseConfig:
     from mapfuse.fusion.config import FuseConfig
 
@@ -164,6 +173,8 @@ def _settings(
         settings = replace(settings, decision=replace(settings.decision, overlap_prior=overlap_prior))
     if estimate_noise:
         settings = replace(settings, solving=replace(settings.solving, estimate_noise=True))
+    if walls:
+        settings = replace(settings, walls=replace(settings.walls, use=True))
     if mode is not None:
         settings = replace(settings, matching=replace(settings.matching, mode=mode.value))
     return settings

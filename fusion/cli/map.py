@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import UsageError, check_outputs, check_picture, note, say, warn_on_stderr, writing
-from .progress import watched
+from .console import Quiet, UsageError, Verbose, check_outputs, check_picture, note, teller, warn_on_stderr, writing
+from .progress import stages, watched
 
 if TYPE_CHECKING:
     from mapfuse.datasets.logs import Event, Log, LogTruth
@@ -36,6 +36,12 @@ def map_file(
     joint: Annotated[
         bool, typer.Option("--joint", help="With the joint covariance of all landmarks, which then is the evidence.")
     ] = False,
+    walls: Annotated[
+        bool,
+        typer.Option(
+            "--walls", help="With what each part of the way saw of walls, for `mapfuse fuse --walls`; --joint."
+        ),
+    ] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="A picture of log and map: .png, .svg, .pdf.")] = None,
     truth: Annotated[
         Path | None,
@@ -54,6 +60,8 @@ def map_file(
     save_state: Annotated[
         Path | None, typer.Option("--save-state", metavar="STATE", help="Keep the mapper's state for --resume.")
     ] = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Make the map of one robot's log."""
     check_picture("--plot", plot)
@@ -65,38 +73,40 @@ def map_file(
         raise UsageError(f"--plot: reads the log a second time, and {log} is a pipe")
     if truth is not None and resume is not None:
         raise UsageError("--truth: can't be used with --resume: the truth of the earlier part isn't in it")
-    warn_on_stderr()
+    warn_on_stderr(verbose=verbose)
 
     recorded = _log(log, robot, strict=strict)
     known = _log_truth(truth)
 
     from mapfuse.datasets import write_map
-    from mapfuse.datasets.mapper import Mapper
+    from mapfuse.datasets.mapper import WITH_KEYFRAMES, Mapper
 
-    mapper = Mapper(recorded.header) if resume is None else Mapper.load(resume)
+    tell = teller(quiet=quiet)
+    mapper = Mapper(recorded.header, WITH_KEYFRAMES if walls else None) if resume is None else Mapper.load(resume)
     events = _unnamed(recorded.events) if no_ids else recorded.events
-    for event in watched(events, f"mapping {recorded.header.name}"):
+    for event in watched(events, f"mapping {recorded.header.name}", quiet=quiet):
         mapper.update(event)
-    made = mapper.map(joint=joint)
+    with stages(f"solving {recorded.header.name}", quiet=quiet):
+        made = mapper.map(joint=joint, keyframes=walls)
     if recorded.header.extra.get("simulated"):
         made = made.replace(extra={**made.extra, "simulated": True})
     map_truth = None if known is None else _truth(mapper, made, known)
     write_map(made, output)
-    say(f"{made.name}: {_counted(made)}, {mapper.length:.0f} m driven")
+    tell(f"{made.name}: {_counted(made)}, {mapper.length:.0f} m driven")
     if map_truth is not None and truth_output is not None:
         from mapfuse.datasets.truth import write_truth
 
         write_truth(map_truth, truth_output)
-        say(f"  {accuracy(made, map_truth)}")
+        tell(f"  {accuracy(made, map_truth)}")
     if save_state is not None:
         mapper.save(save_state)
     if plot is not None:
         _draw(recorded, made, known, plot)
-    for line in _remarks(mapper):
+    for line in () if quiet else _remarks(mapper):
         note(f"mapfuse: {line}")
     for path in (output, truth_output, plot, save_state):
         if path is not None:
-            say(f"wrote {path}")
+            tell(f"wrote {path}")
 
 
 def _truth_output(output: Path) -> Path:

@@ -17,9 +17,9 @@ _STEP = 2000
 
 
 @contextmanager
-def progress(label: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
+def progress(label: str, total: float | None = None, *, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """Gives a function to call with the work done since the last call; ``total`` None: it is counted only."""
-    if not _on_terminal():
+    if quiet or not _on_terminal():
         yield lambda _: None
         return
     with _bar(timed=total is not None) as bar:
@@ -82,13 +82,13 @@ def _bar(*, timed: bool = False) -> Progress:
     return rp.Progress(*columns, console=Console(stderr=True), transient=True)
 
 
-def watched(items: Iterable[Item], label: str, total: float | None = None) -> Iterator[Item]:
+def watched(items: Iterable[Item], label: str, total: float | None = None, *, quiet: bool = False) -> Iterator[Item]:
     """The same items, their number shown while they pass.
 
     >>> list(watched(range(3), "three"))
     [0, 1, 2]
     """
-    with progress(label, total) as advance:
+    with progress(label, total, quiet=quiet) as advance:
         count = 0
         for count, item in enumerate(items, start=1):
             yield item

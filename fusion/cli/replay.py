@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import Quiet, UsageError, check_outputs, say, warn_on_stderr, writing
+from .console import Quiet, UsageError, Verbose, check_outputs, say, warn_on_stderr, writing
 from .progress import progress
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def replay(
         Path | None, typer.Option("--save-state", metavar="STATE", help="Keep the state at the end for --resume.")
     ] = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Replay robots' logs together and merge their maps while they map."""
     if speed is not None and not 0 < speed <= 1e6:
@@ -72,7 +73,7 @@ def replay(
     check_outputs(outputs, inputs)
     if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
         raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
-    warn_on_stderr()
+    warn_on_stderr(verbose=verbose)
     recorded = _logs(logs, strict=strict, no_ids=no_ids)
     if len(recorded) < 2 and resume is None:
         raise UsageError("replay needs the logs of at least two robots")

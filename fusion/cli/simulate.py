@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import UsageError, check_picture, say
+from .console import Quiet, UsageError, Verbose, check_picture, teller, warn_on_stderr
 from .progress import progress, watched
 
 if TYPE_CHECKING:
@@ -52,6 +52,15 @@ class Policy(StrEnum):
     unexplored = "unexplored"
     clockwise = "clockwise"
     counter_clockwise = "counter-clockwise"
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """Whether there are maps, with joint covariances, and with what walls know."""
+
+    at_all: bool
+    joint: bool
+    walls: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +120,9 @@ def simulate(
     name: Annotated[
         str | None, typer.Option("--name", help="What the files' names begin with. [default: the building's name]")
     ] = None,
+    walls: Annotated[
+        bool, typer.Option("--walls", help="Maps with what walls know, as `mapfuse map --walls`; not with --no-scans.")
+    ] = False,
     joint: Annotated[
         bool, typer.Option("--joint", help="Maps with the joint covariance of all landmarks, as `mapfuse map --joint`.")
     ] = False,
@@ -124,12 +136,15 @@ def simulate(
     plot: Annotated[
         str, typer.Option("--plot", metavar="SUFFIX", help="Kind of the picture: .png, .svg, .pdf.")
     ] = ".png",
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Drive robots through a simulated building: logs, maps, pictures, and the truth.
 
     For each drive NAME.log.jsonl, NAME.logtruth.json and NAME.map.json; for all of them one truth file and a picture.
     """
     check_picture("--plot", Path(f"picture{plot}"))
+    warn_on_stderr(verbose=verbose)
     if name is not None and (not name or Path(name).name != name):
         raise UsageError(f"--name {name!r}: is part of file names, so it can't be empty or hold a /")
     plan = Plan(
@@ -151,14 +166,16 @@ def simulate(
     except OSError as error:
         raise UsageError(f"-o {output}: {error.strerror or error}") from error
     prefix = name or site.name
+    mapped = Mapped(not no_maps, joint, walls)
     with _all_or_nothing(output) as folder:
-        made = [_one(site, plan, k, prefix, with_map=not no_maps, joint=joint) for k in range(plan.maps)]
+        made = [_one(site, plan, k, prefix, mapped, quiet=quiet) for k in range(plan.maps)]
         for drive in made:
             _write(drive, folder, gz=gz)
         _write_together(site, made, folder, prefix, plot)
+    tell = teller(quiet=quiet)
     for drive in made:
-        say(_summary(drive))
-    say(f"Logs, truth{'' if no_maps else ', maps'} and a picture are in {output}")
+        tell(_summary(drive))
+    tell(f"Logs, truth{'' if no_maps else ', maps'} and a picture are in {output}")
 
 
 def _building(word: str, corridors: Path | None, seed: int) -> Building:
@@ -177,7 +194,7 @@ def _building(word: str, corridors: Path | None, seed: int) -> Building:
     raise UsageError(f"{word}: is neither {', '.join((*NAMED, *Kind))} nor a plan file")
 
 
-def _one(site: Building, plan: Plan, k: int, prefix: str, *, with_map: bool, joint: bool) -> Made:
+def _one(site: Building, plan: Plan, k: int, prefix: str, mapped: Mapped, *, quiet: bool) -> Made:
     """The k-th drive. Its random numbers don't depend on how many drives there are."""
     import numpy as np
 
@@ -185,7 +202,7 @@ def _one(site: Building, plan: Plan, k: int, prefix: str, *, with_map: bool, joi
 
     robot = _robot(plan.robots[k % len(plan.robots)])
     name = f"{prefix}-{k + 1}-{robot.name}"
-    with progress(f"driving {name}"):
+    with progress(f"driving {name}", quiet=quiet):
         header, events, truth = simulate_log(
             site,
             robot,
@@ -196,14 +213,14 @@ def _one(site: Building, plan: Plan, k: int, prefix: str, *, with_map: bool, joi
             share=plan.share,
             scans=plan.scans,
         )
-    if not with_map:
+    if not mapped.at_all:
         return Made(header, events, truth, None, None)
-    from mapfuse.datasets.mapper import Mapper, truth_of_map
+    from mapfuse.datasets.mapper import WITH_KEYFRAMES, Mapper, truth_of_map
 
-    mapper = Mapper(header)
-    for event in watched(events, f"mapping {name}", len(events)):
+    mapper = Mapper(header, WITH_KEYFRAMES if mapped.walls else None)
+    for event in watched(events, f"mapping {name}", len(events), quiet=quiet):
         mapper.update(event)
-    recorded = mapper.map(joint=joint)
+    recorded = mapper.map(joint=mapped.joint, keyframes=mapped.walls)
     recorded = recorded.replace(extra={**recorded.extra, "simulated": True})
     return Made(header, events, truth, recorded, truth_of_map(recorded, mapper.sources, truth))
 

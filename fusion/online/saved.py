@@ -18,9 +18,8 @@ from mapfuse.datasets.errors import FileFormatError, MapfuseError, Problem
 from mapfuse.datasets.files import read_whole, write_whole
 from mapfuse.datasets.mapfile import map_from_dict, map_to_dict
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
-from mapfuse.matching.config import MatchingConfig
 
-from ..config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
+from ..config import FuseConfig
 from .config import OnlineConfig
 from .messages import Placed
 from .segment import Counters, Record, Segment
@@ -156,9 +155,7 @@ def _plain_noise(noise: Noise) -> dict[str, Any]:
 def _config(values: dict[str, Any]) -> OnlineConfig:
     values = dict(values)
     inside = values.pop("fuse")
-    parts = (MatchingConfig, SolvingConfig, EvidenceConfig, DecisionConfig)
-    fuse = FuseConfig(*(part(**inside[name]) for name, part in zip(inside, parts, strict=True)))
-    return OnlineConfig(fuse=fuse, **values)
+    return OnlineConfig(fuse=FuseConfig.from_dict(inside), **values)
 
 
 def _alone(segment: Segment, landmark: Landmark) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from ..show.scene import scene_of_group
 from ..show.words import percent
 from .document import document
 from .plain import number, origin_of, scene_plain, text
+from .verdict import stand_alone
 
 #: Columns of the table of pairs that the page needs.
 COLUMNS = ("map1", "map2", "decision", "probability", "x", "y", "theta", "count")
@@ -140,7 +141,7 @@ def _said(data: Mapping[str, Any]) -> tuple[dict[str, str], list[list[str]]]:
     merged = sum(len(group["maps"]) for group in data["groups"])
     total = len(data["maps"])
     groups = f"{len(data['groups'])} group{'' if len(data['groups']) == 1 else 's'}"
-    sentence = f"{merged} of {total} maps were merged into {groups}; {total - merged} stand alone."
+    sentence = f"{merged} of {total} maps were merged into {groups}; {stand_alone(total - merged)}."
     pairs = f"{counts[0]} merged, {counts[1]} ambiguous, {counts[2]} without overlap"
     facts = [["Pairs compared", f"{sum(counts)}: {pairs}" + (f", {counts[3]} failed" if counts[3] else "")]]
     return {"word": "batch", "sentence": sentence, "detail": ""}, facts

@@ -45,6 +45,15 @@ def _two(fused: FusedMap) -> tuple[str, str]:
     return sentence, f"the likeliest placement has {percent(pair.probability)}, {rest}"
 
 
+def stand_alone(count: int) -> str:
+    """How many maps were merged with none.
+
+    >>> stand_alone(1), stand_alone(0)
+    ('1 stands alone', 'none stands alone')
+    """
+    return f"{count or 'none'} stand{'' if count > 1 else 's'} alone"
+
+
 def _several(fused: FusedMap) -> tuple[str, str]:
     n, sure = len(fused.maps), f"{percent(fused.probability)} sure that all merges are right"
     if fused.decision == "merged":
@@ -53,7 +62,7 @@ def _several(fused: FusedMap) -> tuple[str, str]:
         merged = [names for names in fused.groups if len(names) > 1]
         alone = n - sum(map(len, merged))
         groups = "one group" if len(merged) == 1 else f"{len(merged)} groups"
-        return f"{n - alone} of {n} maps were merged into {groups}; {alone} stand alone.", sure
+        return f"{n - alone} of {n} maps were merged into {groups}; {stand_alone(alone)}.", sure
     undecided = sum(pair.decision == "ambiguous" for pair in fused.pairs)
     if undecided:
         pairs = "one pair" if undecided == 1 else f"{undecided} pairs"

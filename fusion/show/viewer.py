@@ -19,6 +19,8 @@ from .solids import Body, Layer, together
 
 #: Steps of the animation that lays map 2 on map 1.
 STEPS = 60
+#: From where the window looks at first: from the south, halfway up; and how near.
+FRONT, ZOOM = (0.0, -0.75, 0.66), 0.6
 
 
 def open3d() -> Any:
@@ -86,6 +88,10 @@ def view(layers: Sequence[Layer], title: str) -> None:
     meshes = [mesh_of(layer.at(1.0)) for layer in layers]
     for mesh in meshes:
         window.add_geometry(mesh)
+    control = window.get_view_control()  # from above, all layers would lie on each other
+    control.set_front(FRONT)
+    control.set_up((0.0, 0.0, 1.0))
+    control.set_zoom(ZOOM)
     window.register_key_callback(32, lambda shown: _animate(o3d, shown, layers, meshes))
     window.run()
     window.destroy_window()

@@ -324,3 +324,47 @@ def test_random_damage_never_does_anything_but_read_or_refuse(tmp_path):
         except FileFormatError:
             refusals += 1
     assert 750 < refusals < 1500
+
+
+KEYFRAMES = {
+    "poses": [[0.0, 0.0, 0.0]],
+    "walls": [[0, 1.0, 1.0, 2.0, 1.0]],
+    "with_landmarks": [[0.0] * 2] * 3,
+    "matrix": [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]],
+}
+
+
+def with_keyframes(**changes):
+    joint = {"order": ["t0"], "rows": 2, "matrix": [[1.0, 0], [0, 1.0]], "keyframes": {**KEYFRAMES, **changes}}
+    return json.dumps({**MAP, "joint_covariance": joint})
+
+
+def test_keyframes_are_read_and_written_back(tmp_path):
+    file = tmp_path / "good.map.json"
+    file.write_text(with_keyframes())
+    read = read_map(file)
+    assert read.joint_covariance.keyframes.walls.tolist() == KEYFRAMES["walls"]
+    write_map(read, tmp_path / "again.map.json")
+    assert read_map(tmp_path / "again.map.json") == read
+    assert pickle.loads(pickle.dumps(read)) == read
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "reason"),
+    [
+        ({"poses": [[0.0, 0.0]]}, "poses[0]", "3 numbers"),
+        ({"walls": [[1, 1.0, 1.0, 2.0, 1.0]]}, "walls[0][0]", "number of none of the poses"),
+        ({"walls": [[0.5, 1.0, 1.0, 2.0, 1.0]]}, "walls[0][0]", "number of none of the poses"),
+        ({"walls": "none"}, "walls", "must be a list"),
+        ({"with_landmarks": [[0.0] * 4] * 3}, "with_landmarks", "must have 2 columns"),
+        ({"with_landmarks": [[0.0] * 2] * 2}, "with_landmarks", "three rows for each of 1 poses"),
+        ({"matrix": [[1.0]]}, "matrix", "three rows for each of 1 poses"),
+        ({"matrix": [[1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]]}, "matrix", "the variance -1.0 is negative"),
+        ({"matrix": [[1.0, 0, 0], [0, "x", 0], [0, 0, 1.0]]}, "matrix[1][1]", "number"),
+        ({"more": 1}, "more", "no field of keyframes"),
+    ],
+)
+def test_keyframes_that_make_no_sense_are_refused(tmp_path, changes, place, reason):
+    problems = refused(tmp_path, with_keyframes(**changes)).problems
+    assert [problem.place for problem in problems] == [f"joint_covariance.keyframes.{place}"]
+    assert reason in problems[0].reason

@@ -16,9 +16,10 @@ from scipy.stats import chi2
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapfuseError
 from mapfuse.datasets.maps import Landmark, LandmarkMap
+from mapfuse.fusion.config import WallsConfig
 from mapfuse.fusion.show.viewer import open3d
 from mapfuse.fusion.walls import WallConfig, _residuals, align, align_open3d, segments, wall_points
-from mapfuse.fusion.wallspace import SpaceConfig, credible, crossings, seen_through, wall_evidence, way_of
+from mapfuse.fusion.wallspace import credible, crossings, seen_through, wall_evidence, way_of
 
 T12 = np.array([3.0, -2.0, 0.4])
 WIDTH = 1.0  # of a corridor, to either side [m]
@@ -191,7 +192,7 @@ def test_a_way_through_a_wall_counts_and_one_along_it_does_not() -> None:
 def test_only_what_was_really_seen_is_seen_through() -> None:
     eye = np.array([[0.0, 0.0], [1.0, 0.0]])
     own, between = [np.array([[-2.0, 2.0], [3.0, 2.0]])], [np.array([[-9.0, 1.0], [9.0, 1.0]])]
-    config = SpaceConfig(reach_m=2.5, margin_m=0.5)
+    config = WallsConfig(reach_m=2.5, margin_m=0.5)
     assert seen_through(between, own, eye, config) == pytest.approx(4.0, abs=0.6)
     assert seen_through(between, [*own, np.array([[-9.0, 0.7], [9.0, 0.7]])], eye, config) == 0, "its own wall hides it"
     assert seen_through([np.array([[-9.0, 1.8], [9.0, 1.8]])], own, eye, config) == 0, "within what a map may be wrong"

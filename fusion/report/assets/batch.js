@@ -1,5 +1,7 @@
 // The page of a batch run: what was merged, each group drawn when it is opened, and all pairs, some hundred at a time.
 const PAGE = 200;
+// A group's line names so many of its maps; all of them are named where it is opened.
+const NAMED = 12;
 const DECISIONS = ["merged", "ambiguous", "no overlap", "failed"];
 
 function batchPage(data, main) {
@@ -8,7 +10,9 @@ function batchPage(data, main) {
 
 function groupsOfBatch(data) {
   const shown = data.groups.map((group, g) => {
-    const names = group.maps.flatMap((m, k) => [k ? ", " : "", named(data.maps[m].name)]);
+    const listed = (maps) => maps.flatMap((m, k) => [k ? ", " : "", named(data.maps[m].name)]);
+    const more = group.maps.length - NAMED;
+    const names = more > 1 ? [...listed(group.maps.slice(0, NAMED)), ` and ${more} more`] : listed(group.maps);
     const draw = () => {
       if (!details.open || details.querySelector(".viewhost")) return;
       group.scene = JSON.parse(document.getElementById(`group-${g}`).textContent);
@@ -20,12 +24,13 @@ function groupsOfBatch(data) {
     };
     const details = el("details", { class: "group", "data-group": g, on: { toggle: draw } },
       el("summary", {}, `${counted(group.maps.length, "map")}, ${counted(group.count, "landmark")}, ${group.sure} right: `, names),
+      more > 1 ? el("p", { class: "note" }, "All of them: ", listed(group.maps)) : null,
       el("p", { class: "note" }, "In full: ", el("code", {}, named(`mapfuse show ${group.file} --html`))));
     return details;
   });
   const alone = data.alone.length ? el("details", {}, el("summary", {}, `${counted(data.alone.length, "map")} merged with none`),
     el("p", {}, data.alone.flatMap((m, k) => [k ? ", " : "", named(data.maps[m].name)]))) : null;
-  return section("Groups", "Maps that share a frame. Open one to see it.", el("div", { class: "controls" }, ellipseChoice(), layerChoices([["ellipses", "ellipses"], ["links", "links"], ["walls", "walls"]])),
+  return section("Groups", "Maps that share a frame. Open one to see it: black and ringed is what several robots saw, coloured what one did, hollow what rather isn't there.", el("div", { class: "controls" }, ellipseChoice(), layerChoices([["ellipses", "ellipses"], ["links", "links"], ["walls", "walls"]])),
     el("div", { id: "groups" }, shown), alone);
 }
 
@@ -59,7 +64,7 @@ function pairsOfBatch(data) {
   data.percent = (p) => (p > 0.9999 ? "> 99.99 %" : p < 0.0001 ? "< 0.01 %" : `${Number((100 * p).toPrecision(4))} %`);
   const turn = (step) => { state.page += step; show(); };
   const back = el("button", { type: "button", on: { click: () => turn(-1) } }, "Back");
-  const on = el("button", { type: "button", id: "on", on: { click: () => turn(1) } }, "On");
+  const on = el("button", { type: "button", id: "on", on: { click: () => turn(1) } }, "Next");
   const sorter = (k) => el("th", { scope: "col" }, el("button", { type: "button", class: "link", on: { click: () => {
     state.down = state.sort === columns[k] ? !state.down : true; state.sort = columns[k]; choose(); } } }, heads[k]));
   const table = el("table", { id: "pairs" }, el("thead", {}, el("tr", {}, heads.map((_, k) => sorter(k)))), body);

@@ -8,7 +8,14 @@ import pytest
 
 from mapfuse.datasets import FileFormatError, se2, validate
 from mapfuse.datasets.logs import Detection, LogHeader, LogTruth, Odometry, Scan, SensedArm, Sensors
-from mapfuse.datasets.mapper import LandmarkAdded, LandmarkUpdated, Mapper, MapperConfig, truth_of_map
+from mapfuse.datasets.mapper import (
+    WITH_KEYFRAMES,
+    LandmarkAdded,
+    LandmarkUpdated,
+    Mapper,
+    MapperConfig,
+    truth_of_map,
+)
 from mapfuse.datasets.mapper.joining import joined
 from mapfuse.datasets.mapper.memory import Arm, Known, Memory, Sighting
 from mapfuse.datasets.mapper.passes import Pass, existence
@@ -253,3 +260,37 @@ def test_the_truth_of_a_map_is_what_most_detections_were_of(mapper, simulated):
     votes = LogTruth("v", np.zeros((1, 4)), ("a", "b", "b", None), {"a": [0, 0], "b": [1, 0]}, {})
     tree = replace(made, name="v", landmarks=(replace(made.landmarks[0], id="x"),))
     assert truth_of_map(tree, {"x": (0, 1, 2, 3)}, votes).landmarks["v"] == {"x": "b"}
+
+
+def test_keyframes_stand_on_the_path_and_see_walls_where_the_map_has_them(simulated):
+    header, events, _ = simulated
+    mapper = Mapper(header, WITH_KEYFRAMES)
+    for event in events:
+        mapper.update(event)
+    made = mapper.map(keyframes=True)
+    assert validate(made) == ()
+    kept = made.joint_covariance.keyframes
+    path = made.path[:, 1:3]
+    assert max(np.hypot(*(path - pose[:2]).T).min() for pose in kept.poses) < 0.3
+    spread = np.linalg.eigvalsh(
+        np.block([[made.joint_covariance.matrix, kept.with_landmarks.T], [kept.with_landmarks, kept.matrix]])
+    )
+    assert spread.min() > -1e-9 * spread.max()
+    walls = np.concatenate([np.linspace(a, b, 50) for line in made.walls for a, b in pairwise(line)])
+    numbers = kept.walls[:, 0].astype(int)
+    middles = kept.walls[:, 1:].reshape(-1, 2, 2).mean(axis=1)
+    placed = np.array([se2.transform(kept.poses[k], p) for k, p in zip(numbers, middles, strict=True)])
+    off = np.array([np.hypot(*(walls - p).T).min() for p in placed])
+    assert np.mean(off < 0.3) > 0.9
+
+
+def test_a_turn_on_the_spot_does_not_hang_what_is_seen_after_it_on_where_it_began():
+    mapper = Mapper(HEADER, WITH_KEYFRAMES)
+    for k in range(21):
+        theta = k * 0.1
+        mapper.update(Odometry(0.1 * k, 0.0, 0.0, theta))
+        ranges = tuple(2.0 / max(np.cos(theta + a), 0.2) for a in np.linspace(-0.5, 0.5, 21) - theta)
+        mapper.update(Scan(0.1 * k, -0.5 - theta, 0.05, ranges))
+    turned = np.cumsum([frame.motion.pose[2] for frame in mapper.memory.keyframes])
+    assert len(turned) >= 6
+    assert np.diff(turned).max() < 0.3 + 0.1 + 1e-9

@@ -92,3 +92,24 @@ def test_the_optimum_does_not_depend_on_where_the_descent_begins():
     assert (one.converged, other.converged) == (True, True)
     assert other.error == pytest.approx(one.error, abs=1e-5)
     assert other.estimate.landmarks == pytest.approx(one.estimate.landmarks, abs=1e-3)
+
+
+def test_the_covariance_of_keyframes_is_that_of_the_whole_system_inverted():
+    drive, start = drive_and_start(small_drive())
+    found = smooth(drive, start, 13.8)
+    system = linearise(drive, found.estimate, 13.8)
+    n, size = system.band.shape[1], len(system.border)
+    H = np.zeros((n + size, n + size))
+    for i in range(n):
+        for j in range(i, min(n, i + 6)):
+            H[i, j] = H[j, i] = system.band[5 + i - j, j]
+    H[:n, n:] = system.coupling.toarray()
+    H[n:, :n] = H[:n, n:].T
+    H[n:, n:] = system.border + 1e-9 * np.eye(size)
+    C = np.linalg.inv(H)
+    count = n // 3 + 1
+    which = np.array([count - 1, 0, 1, count // 2])  # the last pose belongs to the border
+    rows = (3 * which[:, None] + np.arange(3)).ravel()
+    own, with_border = found.keyframe_covariance(which)
+    assert own == pytest.approx(C[np.ix_(rows, rows)], rel=1e-5, abs=1e-9)
+    assert with_border == pytest.approx(C[rows, n:], rel=1e-5, abs=1e-9)

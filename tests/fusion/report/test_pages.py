@@ -102,7 +102,7 @@ def test_the_answer_is_there_without_scripts(results: Mapping[str, FusedMap]) ->
     assert "2 placements are possible" in said["ambiguous"]
     assert "The likeliest placement has 55 %, no overlap has 5 %." in said["ambiguous"]
     assert "99.6 % sure that they share nothing" in said["no_overlap"]
-    assert "2 of 3 maps were merged into one group; 1 stand alone." in said["partial"]
+    assert "2 of 3 maps were merged into one group; 1 stands alone." in said["partial"]
     assert "<dd><bdi>simulated</bdi></dd>" in said["merged"]
 
 
