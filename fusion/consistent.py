@@ -28,7 +28,7 @@ from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.transform import Transform
 
 from .config import FuseConfig, chi2_gate
-from .decide import probabilities
+from .decide import log_alike, probabilities
 from .pairwise import Comparison
 from .posegraph import Edge, PoseGraph
 
@@ -110,10 +110,14 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Placement:
-    """One way to lay group B on group A: the candidates that agree with it, by pair, and their ``weight`` [nats]."""
+    """One way to lay group B on group A: the candidates that agree with it, by pair, and their ``weight`` [nats].
+
+    ``alike`` [nats]: the least odds, of any of these, that it is another floor of one plan.
+    """
 
     agreeing: Mapping[Pair, int]
     weight: float
+    alike: float
     T_AB: Array
 
 
@@ -326,11 +330,22 @@ class _Chooser:
         if not placements:
             return _Meeting((), 0.0, -np.inf)
         weight = np.array([p.weight for p in placements])
-        weights = probabilities(weight, self.config.decision.overlap_prior)
+        other_floor = self._other_floor(A, B, placements)
+        weights = probabilities(weight - other_floor, self.config.decision.overlap_prior)
         probability = float(weights[0])
         rest = float(weights.sum() - weights[0])
         margin = float(np.log(max(probability, 1e-300)) - np.log(max(rest, 1e-300)))
         return _Meeting(tuple(placements), probability, margin)
+
+    def _other_floor(self, A: _Group, B: _Group, placements: Sequence[_Placement]) -> float:
+        """What no overlap weighs more [nats], since the groups may be two floors of one plan; of single maps as for
+        their pair."""
+        if len(A.names) == len(B.names) == 1:
+            found = self.comparisons[_key(A.names[0], B.names[0])].candidates
+            odds, alike = [c.log_odds for c in found], [c.alike for c in found]
+        else:
+            odds, alike = [p.weight for p in placements], [p.alike for p in placements]
+        return log_alike(np.array(odds), np.array(alike), self.config.evidence)
 
     def _across(self, A: _Group, B: _Group) -> list[Pair]:
         """The pairs that were compared between two groups."""
@@ -359,7 +374,7 @@ class _Chooser:
         """How a pair's own best candidate lays B on A."""
         a, b = pair if pair[0] in A.index else pair[::-1]
         T_AB = se2.compose(se2.compose(A.graph.pose(a), self._edge(a, b, 0).T), se2.inverse(B.graph.pose(b)))
-        return _Placement({pair: 0}, self._weight(pair, 0), np.asarray(T_AB))
+        return _Placement({pair: 0}, self._weight(pair, 0), self._alike(pair, 0), np.asarray(T_AB))
 
     def _placements(self, A: _Group, B: _Group, pairs: Sequence[Pair]) -> list[_Placement]:
         """One placement by each candidate, with the candidates of all other pairs that agree and what pairs without
@@ -413,10 +428,13 @@ class _Chooser:
             others = (pair for pair in pairs if pair not in agreeing)
             while weight > least and (pair := next(others, None)) is not None:
                 weight += self._against(A, B, T_AB, pair)
-        return _Placement(agreeing, weight, T_AB)
+        return _Placement(agreeing, weight, min(self._alike(pair, k) for pair, k in agreeing.items()), T_AB)
 
     def _weight(self, pair: Pair, k: int) -> float:
         return float(self.comparisons[pair].weights[k])
+
+    def _alike(self, pair: Pair, k: int) -> float:
+        return self.comparisons[pair].candidates[k].alike
 
     def _edge(self, a: str, b: str, k: int) -> Edge:
         """Candidate ``k`` of the pair as frame b in frame a."""

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 class Verdict:
     """Hypotheses best first with their probabilities (k,), what they weigh (k,) [nats] (`log_weights`), the
     probability of no overlap, and the decision. ``alike`` [nats]: what no overlap weighs more because the maps may
-    show two floors of one plan (`log_alike`); the weights have it taken off."""
+    show two floors of one plan (`log_alike`)."""
 
     ranked: tuple[Weighed, ...]
     probabilities: Array
@@ -89,8 +89,7 @@ def decide(weighed: list[Weighed], alias: Array, evidence: EvidenceConfig, confi
     odds = np.array([w.log_odds for w in weighed])
     weights = log_weights(odds, alias, evidence)
     other_floor = log_alike(odds, np.array([w.alike for w in weighed]), evidence)
-    weights = weights - other_floor
-    everything = probabilities(weights, config.overlap_prior)
+    everything = probabilities(weights - other_floor, config.overlap_prior)
     order = np.lexsort((-odds, -everything[:-1])) if len(odds) else np.zeros(0, dtype=np.intp)
     ranked = tuple(weighed[k] for k in order)
     ordered, none = everything[:-1][order], float(everything[-1])

@@ -33,7 +33,8 @@ class Candidate:
 
     ``matches``: places (in map 1, in map 2) of the landmarks that are then the same. ``missed1``, ``missed2``:
     landmarks that the other robot passed unrecorded; ``through1``, ``through2``: through how many of their blocked arms
-    it drove (`mapfuse.fusion.passing.Passing`).
+    it drove (`mapfuse.fusion.passing.Passing`). ``alike`` [nats]: odds of what it shows on another floor of one plan
+    against on the same one (`mapfuse.fusion.evidence.Weighed.alike`).
     """
 
     T12: Transform
@@ -43,6 +44,7 @@ class Candidate:
     missed2: tuple[int, ...] = ()
     through1: tuple[int, ...] = ()
     through2: tuple[int, ...] = ()
+    alike: float = -np.inf
 
     @property
     def log_odds(self) -> float:
@@ -108,4 +110,4 @@ def _candidate(outcome: PairOutcome, rank: int, w: Weighed) -> Candidate:
     else:
         T12 = Transform.from_array(joined.T12, joined.T12_covariance)
     matches = tuple(zip(joined.i.tolist(), joined.j.tolist(), strict=True))
-    return Candidate(T12, matches, w.terms, w.missed1, w.missed2, w.through1, w.through2)
+    return Candidate(T12, matches, w.terms, w.missed1, w.missed2, w.through1, w.through2, w.alike)

@@ -22,7 +22,7 @@ from ..pairwise import Candidate, Comparison
 from ..result import PairDecision
 
 #: Raised with every change of how answers are packed: those of a ledger packed otherwise are worked out again.
-PACKING = 3
+PACKING = 4
 
 Array = NDArray[np.float64]
 
@@ -88,6 +88,7 @@ def _candidate(candidate: Candidate) -> list[Any]:
         candidate.matches,
         asdict(candidate.terms),
         [candidate.missed1, candidate.missed2, candidate.through1, candidate.through2],
+        candidate.alike,
     ]
 
 
@@ -105,8 +106,8 @@ def comparison_from_bytes(data: bytes) -> Comparison:
     """The comparison of `comparison_bytes`."""
     record = _unpack(data)
     candidates = tuple(
-        Candidate(_transform(T), tuple((i, j) for i, j in matches), Terms(**terms), *map(tuple, passed))
-        for T, matches, terms, passed in record["candidates"]
+        Candidate(_transform(T), tuple((i, j) for i, j in matches), Terms(**terms), *map(tuple, passed), alike=alike)
+        for T, matches, terms, passed, alike in record["candidates"]
     )
     return Comparison(
         maps=(record["maps"][0], record["maps"][1]),
