@@ -102,13 +102,16 @@ def _transform(record: Sequence[Any]) -> Transform:
     return Transform(x, y, theta, None if covariance is None else np.array(covariance))
 
 
+def _candidate_from(T: Any, matches: Any, terms: Any, passed: Any, alike: float) -> Candidate:
+    missed1, missed2, through1, through2 = map(tuple, passed)
+    pairs = tuple((i, j) for i, j in matches)
+    return Candidate(_transform(T), pairs, Terms(**terms), missed1, missed2, through1, through2, alike)
+
+
 def comparison_from_bytes(data: bytes) -> Comparison:
     """The comparison of `comparison_bytes`."""
     record = _unpack(data)
-    candidates = tuple(
-        Candidate(_transform(T), tuple((i, j) for i, j in matches), Terms(**terms), *map(tuple, passed), alike=alike)
-        for T, matches, terms, passed, alike in record["candidates"]
-    )
+    candidates = tuple(_candidate_from(*candidate) for candidate in record["candidates"])
     return Comparison(
         maps=(record["maps"][0], record["maps"][1]),
         candidates=candidates,
