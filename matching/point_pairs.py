@@ -12,6 +12,7 @@ log likelihood ratio. Each vote is a proper rotation: a mirrored map is never pr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,10 @@ _FEWEST_ANCHORS = 16
 _FAR_PAIRS = 6_000_000
 _ROUNDS = 6
 _NEAR = 24
+
+
+def _kernels() -> ModuleType:
+    return kernels("_point_kernels", __package__, "the search among points")
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +185,7 @@ def _searched(problem: _Problem, config: MatchingConfig, settings: PointPairConf
     T12s, anchors = _peaks(problem, settings)
     if not len(T12s):
         return None
-    kernel = kernels("_point_kernels")
+    kernel = _kernels()
     widest = float(one.variance.max() + two.variance.max() + 1.5 * problem.bend**2)
     grid = one.grid(settings.gate_sigmas * float(np.sqrt(max(widest, 4 * problem.variance))))
     cells = (grid.start, grid.members, grid.box, grid.shape)
@@ -211,7 +216,7 @@ def _distinct(T12s: Array, two: PointArrays, tolerance_m: float, limit: int) -> 
     """The same as `modes.distinct`, compiled."""
     x, y = two.xy.mean(axis=0).tolist()
     spread = float(np.mean((two.xy - (x, y)) ** 2) * 2)
-    kept: Indices = kernels("_point_kernels").distinct(T12s, x, y, spread, tolerance_m**2, limit)
+    kept: Indices = _kernels().distinct(T12s, x, y, spread, tolerance_m**2, limit)
     return kept
 
 
@@ -239,7 +244,7 @@ def _strongest(
     listed2 = (two.length, two.angle, problem.label2[two.near], tolerance)
     length1, angle1, near_label1 = (np.ascontiguousarray(values[:, :neighbours]) for values in listed1)
     length2, angle2, near_label2, within = (np.ascontiguousarray(values[:, :neighbours]) for values in listed2)
-    strength, turn = kernels("_point_kernels").vote(
+    strength, turn = _kernels().vote(
         length1, angle1, near_label1, problem.label1, length2, angle2, near_label2, problem.label2, within,
         settings.distance_sigmas * sigma, asked,
     )  # fmt: skip
@@ -291,7 +296,7 @@ def _scores(problem: _Problem, T12s: Array, partner: NDArray[np.int32], gain: Ar
     under an inverse gamma prior of weight `_NOISE_PRIOR` matches around f = 1.
     """
     one, two = problem.one, problem.two
-    kernel = kernels("_point_kernels")
+    kernel = _kernels()
     count = np.sum(partner >= 0, axis=1)
     factor = np.minimum((normalised / 2 + _NOISE_PRIOR) / (count + _NOISE_PRIOR), 1.0)
     score = gain - count * np.log(factor) - normalised / (2 * factor)
