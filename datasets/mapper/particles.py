@@ -58,7 +58,7 @@ class ParticleConfig:
     """
 
     particles: int = 500
-    runs: int = 12
+    runs: int = 6
     new_density: float = 0.003
     false_density: float = 0.0004
     near: float = 0.6
