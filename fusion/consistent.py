@@ -450,20 +450,28 @@ class _Chooser:
 
         Two maps of one group share landmarks, and what a third map has in common with one it has with the other: the
         second adds what it shows by itself, and only by the share of its matches between landmarks not yet counted.
+        What its robots did not see of each other's maps they say all the same, and all of that together may speak
+        against the placement; what each robot says of a landmark counts about once.
         """
         weight = {pair: self._weight(pair, k) for pair, k in agreeing.items()}
         used: set[Landmark] = set()
-        total = max(weight.values())
+        total, empty = max(weight.values()), 0.0
         for n, pair in enumerate(sorted(agreeing, key=lambda pair: (-weight[pair], pair))):
             own = own_weight(self.comparisons[pair], agreeing[pair])
+            candidate = self.comparisons[pair].candidates[agreeing[pair]]
             if n and own <= 0.0:
+                empty += candidate.terms.emptiness
                 continue
-            matches = self.comparisons[pair].candidates[agreeing[pair]].matches
-            matched = [self._places(A, B, pair, match) for match in matches]
+            matched = [self._places(A, B, pair, match) for match in candidate.matches]
             if n:
-                total += own * sum(not used & set(places) for places in matched) / max(len(matched), 1)
+                fresh = sum(not used & set(places) for places in matched) / max(len(matched), 1)
+                total += own * fresh
+                empty += candidate.terms.emptiness * (1 - fresh)
             used.update(place for places in matched for place in places)
-        return total
+        # a landmark that several maps of one group have is missed by a robot of the other one once, not once for each
+        maps = {name for pair in agreeing for name in pair}
+        inside = len(maps & A.index.keys())
+        return total + min(0.0, empty) / max(inside, len(maps) - inside)
 
     def _places(self, A: _Group, B: _Group, pair: Pair, match: tuple[int, int]) -> tuple[Landmark, Landmark]:
         first, second = (pair[0], match[0]), (pair[1], match[1])

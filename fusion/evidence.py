@@ -56,6 +56,11 @@ class Terms:
     walls: float = 0.0
 
     @property
+    def emptiness(self) -> float:
+        """What is said by what two robots did not see of each other's maps: all but what matches."""
+        return self.misses + self.void + self.arms + self.crossings
+
+    @property
     def total(self) -> float:
         """Sum of all terms."""
         return float(sum(getattr(self, f.name) for f in fields(self)))
