@@ -15,7 +15,19 @@ from scipy.stats import multivariate_normal, vonmises
 
 from mapfuse.datasets import Landmark, LandmarkMap, Link, Noise, Transform, read_map, recordings
 from mapfuse.factors import correspondence
-from mapfuse.fusion import coverage, decide, evidence, existence, growth, known, passing, regularity, repetition, result
+from mapfuse.fusion import (
+    background,
+    coverage,
+    decide,
+    evidence,
+    existence,
+    growth,
+    known,
+    passing,
+    regularity,
+    repetition,
+    result,
+)
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
 from mapfuse.fusion.elastic import Joined
@@ -104,6 +116,7 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
         "misses": np.log(1 - (1 - door_fa1) * 0.85) + np.log(1 - (1 - door_fa2) * 0.9),
         "void": length * ((nu["corner"] + nu["junction"]) * 0.8 * 0.7 + nu["door"] * 0.9 * 0.85),
         "arms": 0.0,
+        "crossings": 0.0,
         "compass": 0.0,
         "known": 0.0,
         "stated": 0.0,
@@ -306,7 +319,8 @@ def test_mixture_covariance_is_that_of_draws_from_themixture():
 
 def test_every_number_stands_as_in_the_code():
     stated = re.findall(r"^\| `(\w+)` \| ([\d., ]+) \|", EVIDENCE, flags=re.MULTILINE)
-    modules = (evidence, existence, correspondence, growth, known, passing, regularity, repetition, result)
+    weighing = (background, coverage, evidence, existence, passing, regularity, repetition)
+    modules = (*weighing, correspondence, growth, known, result)
     places = (EvidenceConfig(), DecisionConfig(), SolvingConfig(), *modules)
     for name, value in stated:
         found = [getattr(place, name) for place in places if hasattr(place, name)]
