@@ -206,7 +206,7 @@ class _All:
         noise may make of that one."""
         map_ = np.repeat(np.arange(low, high), [len(m.triangles) for m in maps[low:high]])
         triangles = np.concatenate([m.triangles for m in maps[low:high]]).astype(np.intp) + self.first[map_][:, None]
-        fixed, share = np.array([m.noise for m in maps])[map_].T
+        fixed, share = np.array([m.noise for m in maps[low:high]])[map_ - low].T
         parts = []
         for order in permutations(range(3)):
             corners = triangles[:, order]

@@ -64,8 +64,7 @@ class Batch:
     """One run at work: its steps, to be called in order, and what they found.
 
     ``taken``: files of each format; ``file_from_name``: every map; ``unreadable``: (file, reason); ``groups``: those of
-    several maps; ``problems``:
-    whatever failed, with its reason.
+    several maps; ``problems``: whatever failed, with its reason.
     """
 
     def __init__(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -287,3 +288,33 @@ def test_cycles_are_worth_their_weaker_leg_where_they_close():
     weaker = group_kernels().weaker_leg
     assert weaker(T_pq, T_pr, T_rq, np.array([9.0, 5.0, 9.0]), np.array([9.0, 7.0]), 3.0, 0.2) == 5.0
     assert weaker(T_pq, T_pr, T_rq[:1], np.array([9.0, 5.0, 9.0]), np.array([9.0]), 3.0, 0.2) == -np.inf
+
+
+def two_groups(world, across, **told):
+    """A and B, C and D surely together, and candidates across of ``across`` nats by pair, all of the right place."""
+    inside = [comparison(a, b, candidate(true_T(world, a, b), 40.0, ((0, 0), (1, 1)))) for a, b in ("AB", "CD")]
+    found = []
+    for (a, b), (matches, emptiness) in across.items():
+        T12 = Transform.from_array(true_T(world, a, b), np.diag(SIGMA**2))
+        one = Candidate(T12, ((5, 5),), Terms(matches=matches, misses=emptiness), **told)
+        alone = comparison(a, b, one)
+        found.append(replace(alone, decision="ambiguous") if told else alone)
+    return choose("ABCD", by_pair(*inside, *found), CONFIG).groups
+
+
+def test_what_agreeing_pairs_missed_speaks_against_a_placement_that_one_pair_shows(world):
+    quiet = {"AC": (6.0, 0.0), "AD": (-1.0, 0.0), "BC": (-1.0, 0.0), "BD": (-1.0, 0.0)}
+    assert two_groups(world, quiet) == (("A", "B", "C", "D"),)
+    # three pairs agree that lack 8 nats of what they passed; two maps of either group take part: 12 nats against 6
+    missed = {"AC": (6.0, 0.0), "AD": (-1.0, -8.0), "BC": (-1.0, -8.0), "BD": (-1.0, -8.0)}
+    assert two_groups(world, missed) == (("A", "B"), ("C", "D"))
+    # that all agree on much emptiness is no evidence by itself
+    faint = dict.fromkeys(quiet, (-9.0, 8.0)) | {"AC": (2.0, 0.0)}
+    assert two_groups(world, faint) == (("A", "B"), ("C", "D"))
+
+
+def test_another_floor_of_one_plan_is_weighed_for_groups_as_for_pairs(world):
+    strong = dict.fromkeys(("AC", "AD", "BC", "BD"), (30.0, 0.0))
+    assert two_groups(world, strong, alike=-6.0) == (("A", "B", "C", "D"),)
+    # a million times as probable on another floor, of which there is one in a thousand
+    assert two_groups(world, strong, alike=float(np.log(1e6))) == (("A", "B"), ("C", "D"))
