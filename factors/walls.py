@@ -225,13 +225,9 @@ def _placed(side1: Hanging, side2: Hanging, facing: Facing, poses: Poses) -> tup
     T12 = se2.between(poses[side1.frame], poses[side2.frame])
     k1 = side1.moved(poses)[facing.at1]
     k2 = np.asarray(se2.compose(T12, side2.moved(poses)))[facing.at2]
-    p1, p2 = _taken(k1, facing.points1), _taken(k2, facing.points2)
+    p1, p2 = se2.transform(k1, facing.points1), se2.transform(k2, facing.points2)
     n = np.einsum("kij,kj->ki", se2.rotation(k1[:, 2]), facing.normals)
     return n, p2 - p1, k1, k2
-
-
-def _taken(T: Array, p: Array) -> Array:
-    return np.asarray(T[:, :2] + np.einsum("kij,kj->ki", se2.rotation(T[:, 2]), p))
 
 
 def keyframe_jacobians(side1: Hanging, side2: Hanging, facing: Facing, poses: Poses) -> tuple[Array, Array]:
@@ -240,7 +236,7 @@ def keyframe_jacobians(side1: Hanging, side2: Hanging, facing: Facing, poses: Po
     T12 = se2.between(poses[side1.frame], poses[side2.frame])
     k, rows = len(facing), np.arange(len(facing))
     J1, J2 = np.zeros((k, len(side1.keyframes), 3)), np.zeros((k, len(side2.keyframes), 3))
-    p1, p2 = _taken(k1, facing.points1), _taken(k2, facing.points2)
+    p1, p2 = se2.transform(k1, facing.points1), se2.transform(k2, facing.points2)
     # n turns with the keyframe of map 1, as does p1 about it
     J1[rows, facing.at1, :2] = -n
     J1[rows, facing.at1, 2] = _cross(n, difference) - _cross_lever(n, p1 - k1[:, :2])
@@ -264,7 +260,7 @@ def offset_jacobian(side1: Hanging, side2: Hanging, facing: Facing, poses: Poses
     by1, by2 = keyframe_jacobians(side1, side2, facing, poses)
     n, _, _, k2 = _placed(side1, side2, facing, poses)
     T12 = se2.between(poses[side1.frame], poses[side2.frame])
-    p2 = _taken(k2, facing.points2)
+    p2 = se2.transform(k2, facing.points2)
     (frame1, landmarks1), (frame2, landmarks2) = side1.jacobians(poses), side2.jacobians(poses)
     by1, by2 = by1 @ side1.by_landmarks, by2 @ side2.by_landmarks
     # T12 = inv(T1) T2 by the tangents: of map 2 as it stands, of map 1 against it

@@ -50,23 +50,13 @@ def pieces_of(keyframes: Keyframes) -> Pieces:
     return Pieces(ends, at, np.where(left > 0, 1.0, -1.0))
 
 
-def seen_from(T: Array, p: Array) -> Array:
-    """Points (..., 2) in the frames of poses (..., 3)."""
-    return np.asarray(np.einsum("...ji,...j->...i", se2.rotation(T[..., 2]), p - T[..., :2]))
-
-
-def taken(T: Array, p: Array) -> Array:
-    """Points (..., 2) that were seen from poses (..., 3), in the frame of these."""
-    return np.asarray(T[..., :2] + np.einsum("...ij,...j->...i", se2.rotation(T[..., 2]), p))
-
-
 def faced(pieces1: Pieces, pieces2: Pieces, placed1: Array, placed2: Array, gate_m: float) -> Facing:
     """Where pieces face each other, ``placed1`` (k1, 3), ``placed2`` (k2, 3) being the keyframes' poses in one frame.
 
     Each piece faces that one of the other map which it runs beside the longest, whatever their distance: choosing by
     distance would have walls agree with wherever they are supposed. ``gate_m``: how far apart they may lie.
     """
-    a1, a2 = (taken(k[p.at][:, None], p.ends) for k, p in ((placed1, pieces1), (placed2, pieces2)))
+    a1, a2 = (se2.transform(k[p.at][:, None], p.ends) for k, p in ((placed1, pieces1), (placed2, pieces2)))
     low, high, beside = _beside(a1, a2, gate_m)
     n1, n2 = _normals(a1) * pieces1.seen[:, None], _normals(a2) * pieces2.seen[:, None]
     shared = np.where(beside & (n1 @ n2.T > ALIKE), high - low, 0.0)
@@ -119,4 +109,5 @@ def _faced(i: Places, j: Places, s: Array, ends: Two, pieces: tuple[Pieces, Piec
     at1, at2 = pieces[0].at[i], pieces[1].at[j]
     k1 = placed[0][at1]
     n = np.einsum("kji,kj->ki", se2.rotation(k1[:, 2]), _normals(a1))
-    return Facing(seen_from(k1, p1), seen_from(placed[1][at2], p2), at1, at2, n)
+    seen1, seen2 = se2.transform(se2.inverse(k1), p1), se2.transform(se2.inverse(placed[1][at2]), p2)
+    return Facing(seen1, seen2, at1, at2, n)

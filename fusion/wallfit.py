@@ -30,7 +30,7 @@ from mapfuse.factors.walls import (
 
 from .config import WallsConfig
 from .evidence import Weighed
-from .facing import Pieces, faced, pieces_of, seen_from, taken
+from .facing import Pieces, faced, pieces_of
 from .solve import Solution, optimum
 from .wallspace import WallEvidence, against, credible, wall_evidence, way_of
 
@@ -122,9 +122,9 @@ def _bent(solution: Solution, r: int, config: WallsConfig) -> tuple[list[Array],
         return None
     placed = np.asarray(se2.compose(solution.frame(r), side.moved(solution.poses)))
     at = np.asarray(cKDTree(side.keyframes[:, :2]).query(way)[1])
-    way = taken(placed[at], seen_from(side.keyframes[at], way))
+    way = se2.transform(placed[at], se2.transform(se2.inverse(side.keyframes[at]), way))
     pieces = pieces_of(keyframes_of(map_))
-    lines = taken(placed[pieces.at][:, None], pieces.ends)
+    lines = se2.transform(placed[pieces.at][:, None], pieces.ends)
     return credible(list(lines), way, config.margin_m), way
 
 

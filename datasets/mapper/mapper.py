@@ -112,16 +112,6 @@ class Mapper:
         return pose, np.asarray(F @ state.P[:7, :7] @ F.T + Q, dtype=float)
 
     @property
-    def north(self) -> tuple[float, float] | None:
-        """Direction [rad, map frame] of what the compass calls zero, from all its readings, and the standard deviation
-        of that, without the instrument's offset; None without readings."""
-        if not self.state.memory.stations:
-            return None
-        smoothed = self._finished().smoothed
-        wrapped = float(np.remainder(smoothed.estimate.north + np.pi, 2 * np.pi) - np.pi)
-        return wrapped, float(np.sqrt(max(0.0, smoothed.covariance[NORTH, NORTH])))
-
-    @property
     def sources(self) -> Mapping[str, tuple[int, ...]]:
         """Of each landmark of the map its detections, as their numbers in the log, from 0."""
         return self._finished().sources
