@@ -13,7 +13,7 @@ from mapfuse.datasets.maps import JointCovariance, LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from .config import SolvingConfig
-from .consistent import Choice, Pair
+from .consistent import Choice
 from .existence import existence
 from .joint import Joint, referred_to
 from .members import Emptiness, Members
@@ -21,6 +21,7 @@ from .merge import Place, merged_landmarks
 from .noisefit import noise_fits
 from .pairresult import NEGLIGIBLE, pair_result
 from .pairwise import Comparison
+from .placing import Pair
 from .prepared import PreparedMap
 from .result import Decision, Frame, FusedLandmark, FusedMap, NoiseFit, PairResult
 from .solve import Solution

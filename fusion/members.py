@@ -15,13 +15,14 @@ from mapfuse.datasets import se2
 
 from .background import Background
 from .config import EvidenceConfig
-from .consistent import Choice, Pair
+from .consistent import Choice
 from .coverage import SeenArea
 from .existence import existence
 from .joint import Joint
 from .joint import Members as Place
 from .pairwise import Candidate, Comparison
 from .passing import Passing, emptiness, passing_at, per_arm
+from .placing import Pair
 from .prepared import PreparedMap
 
 Array = NDArray[np.float64]

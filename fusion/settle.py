@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from .config import FuseConfig
-from .consistent import Against, Choice, Landmark, Pair, choose, places_of
+from .consistent import Choice, choose
 from .joint import Joint, Members, solve_group
 from .pairwise import Comparison
+from .placing import Against, Landmark, Pair, places_of
 from .prepared import PreparedMap
 
 #: How often a choice is made again without candidates that the joint graph took apart.

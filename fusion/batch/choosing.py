@@ -10,9 +10,10 @@ import numpy as np
 from mapfuse.datasets.transform import Transform
 
 from ..config import FuseConfig
-from ..consistent import Choice, Pair, choose
+from ..consistent import Choice, choose
 from ..members import Emptiness
 from ..pairwise import Comparison
+from ..placing import Pair
 from ..prepared import PreparedMap
 from ..settle import MAX_CHOICES
 

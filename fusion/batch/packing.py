@@ -16,9 +16,10 @@ from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from ..config import FuseConfig
-from ..consistent import Choice, Pair
+from ..consistent import Choice
 from ..evidence import Terms
 from ..pairwise import Candidate, Comparison
+from ..placing import Pair
 from ..result import PairDecision
 
 #: Raised with every change of how answers are packed: those of a ledger packed otherwise are worked out again.

@@ -21,10 +21,11 @@ from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.matching.index import MapIndex
 
 from ..config import FuseConfig
-from ..consistent import Choice, Pair
+from ..consistent import Choice
 from ..far import middle, pair_put_back
 from ..pairresult import mixture, pair_result
 from ..pairwise import Comparison
+from ..placing import Pair
 from ..prepared import PreparedMap
 from ..result import PairResult
 from . import tasks

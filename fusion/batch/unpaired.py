@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..consistent import Pair
 from ..members import MAY_BE_SAME_M
+from ..placing import Pair
 
 
 class _Landmark(msgspec.Struct):

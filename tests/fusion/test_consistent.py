@@ -11,10 +11,11 @@ import pytest
 from mapfuse.datasets import se2
 from mapfuse.datasets.transform import Transform
 from mapfuse.fusion.config import FuseConfig
-from mapfuse.fusion.consistent import choose, group_kernels, places_of
+from mapfuse.fusion.consistent import choose
 from mapfuse.fusion.decide import log_weights, probabilities
 from mapfuse.fusion.evidence import Terms
 from mapfuse.fusion.pairwise import Candidate, Comparison
+from mapfuse.fusion.placing import group_kernels, places_of
 from mapfuse.fusion.posegraph import Edge, PoseGraph
 
 CONFIG = FuseConfig()
