@@ -88,7 +88,7 @@ MEASURED: dict[str, Measured] = {
     "four": (four, four_table, 100, 2),
     "hospital": (hospital, hospital_table, 200, 3),
     "latency": (latency, latency_table, 1, 1),
-    "mrclam": (mrclam, mrclam_table, 2, 1),
+    "mrclam": (mrclam, mrclam_table, 3, 1),
     "stream": (stream, stream_table, 1, 1),
     "symmetric": (symmetric, symmetric_table, 40, 3),
 }

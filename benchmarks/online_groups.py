@@ -11,6 +11,7 @@ import numpy as np
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.logs import Log
+from mapfuse.datasets.mapper.naming import name_detections
 from mapfuse.datasets.mrclam import ROBOTS, read_mrclam_log, read_mrclam_truth
 from mapfuse.datasets.simulation import MILKA, VESPUCCI, make_building, simulate_logs
 from mapfuse.datasets.simulation.simulated_log import SimulatedLog
@@ -19,6 +20,10 @@ from mapfuse.fusion.online import Merged
 from mapfuse.fusion.online.replay import Replay
 
 Row = dict[str, Any]
+
+#: Where names of landmarks come from.
+BARCODES, FOUND = "within each robot's log only", "none; names found in each whole log before"
+NAMES = (BARCODES, FOUND, "none")
 
 
 def four(seed: int, _: argparse.Namespace) -> Row:
@@ -64,11 +69,16 @@ def four_table(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def mrclam(seed: int, arguments: argparse.Namespace) -> Row:
-    """All five robots of MRCLAM 6 replayed; seed 0: barcodes name a robot's own landmarks, and are no names between
-    robots; 1: none at all."""
+    """All five robots of MRCLAM 6 replayed: barcodes name a robot's own landmarks, and are no names between robots
+    (first seed); dropped, and names found in each whole log before (second); dropped (third)."""
     home = arguments.folder / "MRCLAM_Dataset6"
-    barcodes = (seed - arguments.first) % 2 == 0
-    logs = [read_mrclam_log(home, robot, barcodes=barcodes) for robot in ROBOTS]
+    names = NAMES[(seed - arguments.first) % len(NAMES)]
+    logs = [read_mrclam_log(home, robot, barcodes=names == BARCODES) for robot in ROBOTS]
+    numbers_from_name: dict[str, Sequence[int]] = {}
+    if names == FOUND:
+        known = [name_detections(log) for log in logs]
+        numbers_from_name = {log.header.name: k.numbers for log, k in zip(logs, known, strict=True)}
+        logs = [k.log for k in known]
     replay = Replay(logs)
     merges = [event.t for _ in replay.run() for event in replay.fuser.events() if isinstance(event, Merged)]
     fused = replay.fuser.fused()
@@ -78,8 +88,9 @@ def mrclam(seed: int, arguments: argparse.Namespace) -> Row:
         truth = read_mrclam_truth(home, robot)
         places = {**places, **truth.places}
         sources = replay.feeds[log.header.name].mapper.sources
+        numbers = numbers_from_name.get(log.header.name, range(len(truth.detections)))
         for landmark, detections in sources.items():
-            seen = Counter(truth.detections[k] for k in detections).most_common(1)[0][0]
+            seen = Counter(truth.detections[numbers[k]] for k in detections).most_common(1)[0][0]
             named[log.header.name, landmark] = seen
     largest = max(range(len(fused.groups)), key=lambda k: len(fused.groups[k]))
     found, true = [], []
@@ -92,7 +103,7 @@ def mrclam(seed: int, arguments: argparse.Namespace) -> Row:
                 true.append(places[tube])
     apart = np.hypot(*se2.align(np.array(true), np.array(found)).residuals.T)
     return {
-        "barcodes": barcodes,
+        "barcodes": names,
         "groups": len(fused.groups),
         "largest": len(fused.groups[largest]),
         "landmarks": len(found),
@@ -111,6 +122,5 @@ def mrclam_table(rows: Sequence[Row]) -> Iterator[str]:
     yield "| barcodes | groups | robots in the largest | landmarks there | rms [m] | worst [m] |"
     yield "|---|---|---|---|---|---|"
     for row in rows:
-        said = "within each robot's log only" if row["barcodes"] else "none"
         numbers = f"{row['groups']} | {row['largest']} | {row['landmarks']} | {row['rms']:.3f} | {row['worst']:.2f}"
-        yield f"| {said} | {numbers} |"
+        yield f"| {row['barcodes']} | {numbers} |"

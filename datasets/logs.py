@@ -7,7 +7,7 @@ them are decoded from a file in about a second, which dataclasses can't do.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeAlias
 
@@ -162,6 +162,21 @@ class Log:
 
     header: LogHeader
     events: Iterable[Event]
+
+    def without_ids(self) -> Log:
+        """The same log, its detections without the names that they carry."""
+        return Log(self.header, _WithoutIds(self.events))
+
+
+class _WithoutIds(Iterable[Event]):
+    """Events without the names of what was detected, as often as they are asked for."""
+
+    def __init__(self, events: Iterable[Event]) -> None:
+        self.events = events
+
+    def __iter__(self) -> Iterator[Event]:
+        for event in self.events:
+            yield msgspec.structs.replace(event, id=None) if isinstance(event, Detection) else event
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .console import Quiet, UsageError, Verbose, check_outputs, check_picture, note, teller, warn_on_stderr, writing
+from .names import FindIds, Named, NoIds, named
 from .progress import stages, watched
 
 if TYPE_CHECKING:
-    from mapfuse.datasets.logs import Event, Log, LogTruth
+    from mapfuse.datasets.logs import Log, LogTruth
     from mapfuse.datasets.mapper import Mapper
     from mapfuse.datasets.maps import LandmarkMap
     from mapfuse.datasets.truth import Truth
@@ -53,7 +53,8 @@ def map_file(
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Refuse a log with anything wrong in it.")] = False,
     robot: Annotated[int | None, typer.Option("--robot", min=1, help="Which robot of an MRCLAM folder.")] = None,
-    no_ids: Annotated[bool, typer.Option("--no-ids", help="Don't use the names that detections carry.")] = False,
+    no_ids: NoIds = False,
+    find_ids: FindIds = False,
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="STATE", help="Go on from a saved state; LOG is what came after.")
     ] = None,
@@ -73,9 +74,12 @@ def map_file(
         raise UsageError(f"--plot: reads the log a second time, and {log} is a pipe")
     if truth is not None and resume is not None:
         raise UsageError("--truth: can't be used with --resume: the truth of the earlier part isn't in it")
+    if find_ids and resume is not None:
+        raise UsageError("--find-ids: can't be used with --resume: it looks at a whole log at once")
     warn_on_stderr(verbose=verbose)
 
-    recorded = _log(log, robot, strict=strict)
+    names = named(_log(log, robot, strict=strict), no_ids=no_ids, find_ids=find_ids, quiet=quiet)
+    recorded = names.log
     known = _log_truth(truth)
 
     from mapfuse.datasets import write_map
@@ -83,14 +87,13 @@ def map_file(
 
     tell = teller(quiet=quiet)
     mapper = Mapper(recorded.header, WITH_KEYFRAMES if walls else None) if resume is None else Mapper.load(resume)
-    events = _unnamed(recorded.events) if no_ids else recorded.events
-    for event in watched(events, f"mapping {recorded.header.name}", quiet=quiet):
+    for event in watched(recorded.events, f"mapping {recorded.header.name}", quiet=quiet):
         mapper.update(event)
     with stages(f"solving {recorded.header.name}", quiet=quiet):
         made = mapper.map(joint=joint, keyframes=walls)
     if recorded.header.extra.get("simulated"):
         made = made.replace(extra={**made.extra, "simulated": True})
-    map_truth = None if known is None else _truth(mapper, made, known)
+    map_truth = None if known is None else _truth(mapper, made, known, names)
     write_map(made, output)
     tell(f"{made.name}: {_counted(made)}, {mapper.length:.0f} m driven")
     if map_truth is not None and truth_output is not None:
@@ -144,25 +147,15 @@ def _log_truth(path: Path | None) -> LogTruth | None:
     return read_log_truth(path)
 
 
-def _unnamed(events: Iterable[Event]) -> Iterable[Event]:
-    """The events without the names of what was detected."""
-    import msgspec
-
-    from mapfuse.datasets.logs import Detection
-
-    for event in events:
-        yield msgspec.structs.replace(event, id=None) if isinstance(event, Detection) else event
-
-
-def _truth(mapper: Mapper, made: LandmarkMap, known: LogTruth) -> Truth:
+def _truth(mapper: Mapper, made: LandmarkMap, known: LogTruth, names: Named) -> Truth:
     from mapfuse.datasets.mapper import truth_of_map
 
     if not len(known.path):
         raise UsageError("--truth: has no path, so where the map's frame is can't be told")
-    count = mapper.counters.detections
+    count = mapper.counters.detections if names.count is None else names.count
     if len(known.detections) != count:
         raise UsageError(f"--truth: is of {len(known.detections)} detections, and the log has {count}")
-    return truth_of_map(made, mapper.sources, known)
+    return truth_of_map(made, names.sources(mapper), known)
 
 
 def _counted(map_: LandmarkMap) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .console import Quiet, UsageError, Verbose, check_outputs, say, warn_on_stderr, writing
+from .names import FindIds, NoIds, named
 from .progress import progress
 
 if TYPE_CHECKING:
@@ -53,7 +54,8 @@ def replay(
         Path | None, typer.Option("--video", metavar="OUT", help="A film: .gif, or .mp4 where ffmpeg is.")
     ] = None,
     window: Annotated[bool, typer.Option("--window", help="The film in a window while it goes on.")] = False,
-    no_ids: Annotated[bool, typer.Option("--no-ids", help="Don't use the names that detections carry.")] = False,
+    no_ids: NoIds = False,
+    find_ids: FindIds = False,
     strict: Annotated[bool, typer.Option("--strict", help="Refuse a log with anything wrong in it.")] = False,
     resume: Annotated[
         Path | None,
@@ -74,7 +76,7 @@ def replay(
     if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
         raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
     warn_on_stderr(verbose=verbose)
-    recorded = _logs(logs, strict=strict, no_ids=no_ids)
+    recorded = [named(log, no_ids=no_ids, find_ids=find_ids, quiet=quiet).log for log in _logs(logs, strict=strict)]
     if len(recorded) < 2 and resume is None:
         raise UsageError("replay needs the logs of at least two robots")
     if video is not None:
@@ -110,10 +112,8 @@ def replay(
                 say(f"wrote {path}")
 
 
-def _logs(paths: Iterable[Path], *, strict: bool, no_ids: bool) -> list[Log]:
+def _logs(paths: Iterable[Path], *, strict: bool) -> list[Log]:
     from mapfuse.datasets.logfile import read_log
-    from mapfuse.datasets.logs import Log
-    from mapfuse.fusion.online.replay import Nameless
 
     found: list[Log] = []
     for path in paths:
@@ -123,7 +123,7 @@ def _logs(paths: Iterable[Path], *, strict: bool, no_ids: bool) -> list[Log]:
             found += [read_mrclam_log(path, robot) for robot in ROBOTS]
         else:
             found.append(read_log(path, strict=strict))
-    return [Log(log.header, Nameless(log.events)) for log in found] if no_ids else found
+    return found
 
 
 def _run(

@@ -9,28 +9,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
-import msgspec
-
 from mapfuse.datasets.errors import MapfuseError
-from mapfuse.datasets.logs import Detection, Log, LogHeader
 from mapfuse.datasets.logs import Event as LogEvent
+from mapfuse.datasets.logs import Log, LogHeader
 
 from .feed import Feed
 from .fuser import OnlineFuser
 from .savedfeeds import Earlier, load_replay, save_replay
 
 Item = TypeVar("Item")
-
-
-class Nameless(Iterable[LogEvent]):
-    """Events without the names of what was detected, as often as they are asked for."""
-
-    def __init__(self, events: Iterable[LogEvent]) -> None:
-        self.events = events
-
-    def __iter__(self) -> Iterator[LogEvent]:
-        for event in self.events:
-            yield msgspec.structs.replace(event, id=None) if isinstance(event, Detection) else event
 
 
 @dataclass(frozen=True, slots=True)

@@ -295,3 +295,10 @@ def test_a_truth_that_breaks_a_rule_is_not_written(tmp_path):
     with pytest.raises(MapfuseError, match='"nowhere" is not one of the places'):
         write_log_truth(wrong, tmp_path / "a")
     assert not list(tmp_path.iterdir())
+
+
+def test_names_are_left_out_as_often_as_the_log_is_read():
+    log = Log(LogHeader("D7"), (Odometry(0.0, 0.0, 0.0, 0.0), Detection(0.0, "tree", 1.0, 0.0, (), "oak")))
+    events = log.without_ids().events
+    for _ in range(2):
+        assert [getattr(e, "id", None) for e in events] == [None, None]

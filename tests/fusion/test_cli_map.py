@@ -10,13 +10,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from mapfuse.datasets import read_map
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Event, Log, LogHeader, LogTruth, Odometry, Sensors
-from mapfuse.datasets.logtruth import write_log_truth
+from mapfuse.datasets.logtruth import read_log_truth, write_log_truth
 from mapfuse.datasets.truth import read_truth
 
 MAPFUSE = Path(sys.executable).with_name("mapfuse")
@@ -111,6 +112,24 @@ def test_a_drive_in_two_parts_gives_the_map_of_the_whole(command: Command, log: 
     assert parts.read_bytes() == whole.read_bytes()
 
 
+def test_wrong_names_are_left_out_and_better_ones_found(command: Command, log: Path, tmp_path: Path) -> None:
+    recorded, seen = events(last=13)
+    # what is wrong with the names: one for all three trees
+    named = [msgspec.structs.replace(e, id="x") if isinstance(e, Detection) else e for e in recorded]
+    # a detection that is of nothing comes first, so that the others' numbers are not those of the log as it was
+    nothing = Detection(0.0, "tree", 2.9, 3.0, id="x")
+    write_log(Log(LogHeader("drive", "vespucci", sensors=SENSORS), [nothing, *named]), log)
+    truth = tmp_path / "drive.logtruth.json"
+    known = read_log_truth(truth)
+    write_log_truth(LogTruth("drive", known.path, (None, *seen), known.places, known.types), truth)
+    out = tmp_path / "out.map.json"
+    assert command("map", log, "-o", out, "--no-ids", "--find-ids", "--truth", truth) == 0
+    assert len(read_map(out)) == len(TREES)
+    assert set(read_truth(tmp_path / "out.truth.json").landmarks["drive"].values()) == set(TREES)
+    assert command("map", log, "-o", out) == 0
+    assert len(read_map(out)) != len(TREES)
+
+
 def test_a_log_may_come_through_a_pipe_but_not_for_a_picture(log: Path, tmp_path: Path) -> None:
     whole, piped = tmp_path / "whole.map.json", tmp_path / "piped.map.json"
     subprocess.run([MAPFUSE, "map", log, "-o", whole], check=True, capture_output=True)
@@ -154,6 +173,7 @@ def test_what_is_wrong_with_a_log_is_told_and_strict_refuses_it(log: Path, tmp_p
         (["drive.log.jsonl", "-o", "out.map.json", "--truth", "drive.log.jsonl"], "drive.log.jsonl: is not JSON"),
         (["drive.log.jsonl", "-o", "out.map.json", "--truth", "none.json"], "no such file"),
         (["drive.log.jsonl", "-o", "out.map.json", "--resume", "none.json"], "no such file"),
+        (["drive.log.jsonl", "-o", "out.map.json", "--resume", "none.json", "--find-ids"], "a whole log"),
         (["drive.log.jsonl", "-o", "out.map.json", "--resume", "drive.logtruth.json"], "drive.logtruth.json"),
         (["drive.log.jsonl"], "--output"),
     ],

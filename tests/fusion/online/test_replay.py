@@ -13,7 +13,7 @@ from mapfuse.datasets.errors import FileFormatError
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.fusion import OnlineFuser, fuse, read_fused
-from mapfuse.fusion.online.replay import Nameless, Replay, offsets
+from mapfuse.fusion.online.replay import Replay, offsets
 
 #: Places along a corridor (x, what is there), uneven, so that it looks like itself only in one way.
 PLACES = (
@@ -244,9 +244,3 @@ def test_each_moment_asked_for_comes_once():
     moments = [moment.t for moment in replay.run(every=53.4)]
     assert len(moments) == 11
     assert moments[:9] == pytest.approx([53.4 * k for k in range(1, 10)], abs=0.21)
-
-
-def test_names_are_dropped_as_often_as_the_log_is_read():
-    events = Nameless((Odometry(0.0, 0.0, 0.0, 0.0), Detection(0.0, "tree", 1.0, 0.0, (), "oak")))
-    for _ in range(2):
-        assert [getattr(e, "id", None) for e in events] == [None, None]
