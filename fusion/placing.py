@@ -52,9 +52,9 @@ class Group:
     start: Array | None = None
 
     @cached_property
-    def made_of(self) -> tuple[tuple[str, ...], tuple[tuple[Pair, int], ...]]:
-        """What tells this group from others: its maps, and what was chosen in which order."""
-        return self.names, tuple(self.chosen.items())
+    def made_of(self) -> bytes:
+        """What tells this group from others: its maps, and what was chosen in which order. Bytes keep their hash."""
+        return repr((self.names, tuple(self.chosen.items()))).encode()
 
     @cached_property
     def graph(self) -> PoseGraph:
@@ -142,7 +142,8 @@ class Placer:
         self.forbidden = forbidden
         self.edges: dict[tuple[str, str, int], Edge] = {}
         self.candidates: dict[tuple[str, str, bool], _Candidates] = {}
-        self.met: dict[tuple[object, object], Meeting] = {}
+        self.met: dict[tuple[bytes, bytes], Meeting] = {}
+        self.joined: dict[tuple[object, ...], Group] = {}
         self.beside: dict[str, list[str]] = {}
         for a, b in comparisons:
             self.beside.setdefault(a, []).append(b)
@@ -160,6 +161,15 @@ class Placer:
         return self.met[key]
 
     def merged(self, A: Group, B: Group, placement: Placement, probability: float) -> Group:
+        """Both groups as one, all merges of which are right with a probability; the same one where it was made before,
+        for its graph is solved then."""
+        all_right = A.probability * B.probability * probability
+        key = (A.made_of, B.made_of, tuple(placement.agreeing.items()), placement.T_AB.tobytes(), all_right)
+        if key not in self.joined:
+            self.joined[key] = self._merged(A, B, placement, all_right)
+        return self.joined[key]
+
+    def _merged(self, A: Group, B: Group, placement: Placement, probability: float) -> Group:
         edges = tuple(self.edge(*pair, k) for pair, k in placement.agreeing.items())
         chosen = {**A.chosen, **B.chosen, **placement.agreeing}
         names = tuple(sorted((*A.names, *B.names)))
@@ -169,7 +179,7 @@ class Placer:
             names=names,
             chosen=chosen,
             place=places_of(chosen, self.comparisons),
-            probability=A.probability * B.probability * probability,
+            probability=probability,
             edges=(*A.edges, *B.edges, *edges),
             start=np.asarray(se2.between(pose[names[0]], np.array([pose[name] for name in names]))),
         )
