@@ -1,8 +1,9 @@
 """Joint covariance: one Gaussian over all landmarks of a map that carries one (measurement model, row 8).
 
 The residual is in the map's own axes, ``T_r^-1`` applied to each landmark less its recorded pose, so it is exact under
-any rotation of ``T_r``. It has no native factor: a ``gtsam.CustomFactor`` with analytic Jacobians, one Python call
-per iteration. GTSAM crashes where such a factor leaves its Jacobians unfilled and takes wrong shapes in silence.
+any rotation of ``T_r``; a turn that all landmarks have in common is told as a turn (`turning`). It has no native
+factor: a ``gtsam.CustomFactor`` with analytic Jacobians, one Python call per iteration. GTSAM crashes where such a
+factor leaves its Jacobians unfilled and takes wrong shapes in silence.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ import numpy as np
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
-from mapfuse.datasets.maps import LandmarkMap
+from mapfuse.datasets.maps import JointCovariance, LandmarkMap
 from mapfuse.datasets.values import frozen_array, rebuilt, same_fields
 
 from .heading import headings_of
 from .keys import FrameKey, KeyBook, LandmarkKey, Unknown
 from .measurement import Array, Poses, squared_error
 from .noise import floored_eigen
+from .turning import derivatives, errors, pivot
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -30,7 +32,7 @@ class JointMeasurement:
     """Landmarks' poses (n, 3) seen from their map's ``frame``, with a joint square root information.
 
     ``recorded`` (n, 3): x, y [m], theta [rad]. ``places`` (m,): which of the 3n numbers, landmark by landmark, are
-    measured. ``sqrt_information`` (m, m): W with ``W' W = C^-1``.
+    measured. ``sqrt_information`` (m, m): W with ``W' W = C^-1``. ``pivot`` (2,) [m]: about which they turn.
     """
 
     frame: FrameKey
@@ -38,10 +40,11 @@ class JointMeasurement:
     recorded: Array
     places: tuple[int, ...]
     sqrt_information: Array
+    pivot: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "recorded", frozen_array(self.recorded))
-        object.__setattr__(self, "sqrt_information", frozen_array(self.sqrt_information))
+        for name in ("recorded", "sqrt_information", "pivot"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
         n, m = len(self.landmarks), len(self.places)
         if self.recorded.shape != (n, 3) or self.sqrt_information.shape != (m, m):
             raise MapfuseError(f"a joint measurement of {n} landmarks and {m} numbers has arrays of other shapes")
@@ -82,8 +85,7 @@ class JointMeasurement:
         return squared_error(self.residual(poses), None)
 
     def _whitened(self, T: Array, landmarks: Array) -> Array:
-        off = se2.between(T, landmarks) - self.recorded
-        off[:, 2] = se2.wrap(off[:, 2])
+        off = errors(self.recorded, self.pivot, np.asarray(se2.between(T, landmarks)))
         return np.asarray(self.sqrt_information @ off.reshape(-1)[list(self.places)])
 
     def jacobians(self, T: Array, landmarks: Array) -> tuple[Array, Array]:
@@ -92,20 +94,29 @@ class JointMeasurement:
         With p the landmark in the map's frame: dp = R_T' R_i v_i - v_T - omega_T (-p_y, p_x).
         """
         n, places = len(landmarks), list(self.places)
-        seen = se2.between(T, landmarks)
+        seen = np.asarray(se2.between(T, landmarks))
+        R, lever, gradient = derivatives(self.recorded, self.pivot, seen)
         by_frame = np.tile(-np.eye(3), (n, 1, 1))
         by_frame[:, 0, 2], by_frame[:, 1, 2] = seen[:, 1], -seen[:, 0]
         by_landmark = np.zeros((n, 3, 3))
         by_landmark[:, :2, :2] = se2.rotation(seen[:, 2])
         by_landmark[:, 2, 2] = 1
-        whole = np.zeros((n, len(places), 3))
+        # the turn, which depends on all of them
+        levers = np.zeros((n, 3))
+        levers[:, :2] = lever
+        turned = self.sqrt_information @ levers.reshape(-1)[places]
+        turn_by_frame = np.einsum("ni,nij->j", gradient, by_frame[:, :2])
+        turn_by_landmark = np.einsum("ni,nij->nj", gradient, by_landmark[:, :2])
+        by_frame[:, :2], by_landmark[:, :2] = R @ by_frame[:, :2], R @ by_landmark[:, :2]
+        whole = turned[None, :, None] * turn_by_landmark[:, None, :]
         columns: list[list[int]] = [[] for _ in range(n)]
         for column, place in enumerate(places):
             columns[place // 3].append(column)
         for i, own in enumerate(columns):
             rows = [places[column] % 3 for column in own]
-            whole[i] = self.sqrt_information[:, own] @ by_landmark[i][rows]
-        return self.sqrt_information @ by_frame.reshape(-1, 3)[places], whole
+            whole[i] += self.sqrt_information[:, own] @ by_landmark[i][rows]
+        frame = self.sqrt_information @ by_frame.reshape(-1, 3)[places] + np.outer(turned, turn_by_frame)
+        return frame, whole
 
     def factor(self, keys: KeyBook) -> Any:
         """A ``CustomFactor`` on the frame and the landmarks."""
@@ -154,7 +165,15 @@ def joint_measurement(recorded: LandmarkMap, r: int) -> JointMeasurement | None:
         raise MapError(recorded.name, (Problem("joint_covariance.matrix", str(error)),)) from error
     W = (vectors / np.sqrt(values)).T
     keys = tuple(LandmarkKey(r, name) for name in joint.order)
-    return JointMeasurement(FrameKey(r), keys, poses, tuple(3 * i + row for i, row in kept), W)
+    about = pivot_of(recorded, joint)
+    return JointMeasurement(FrameKey(r), keys, poses, tuple(3 * i + row for i, row in kept), W, about)
+
+
+def pivot_of(recorded: LandmarkMap, joint: JointCovariance) -> Array:
+    """The point (2,) [m, map frame] about which the landmarks of a map's joint covariance turn (`turning.pivot`)."""
+    positions = [(recorded[name].x, recorded[name].y) for name in joint.order]
+    rows = (joint.rows * np.arange(len(joint.order))[:, None] + np.arange(2)).ravel()
+    return pivot(positions, joint.matrix[np.ix_(rows, rows)])
 
 
 def _check(recorded: LandmarkMap, order: Sequence[str], rows: int, shape: tuple[int, ...]) -> None:

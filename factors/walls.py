@@ -2,7 +2,8 @@
 
 A wall hangs on a keyframe of the drive that saw it. Where landmarks lie says where that keyframe lies, up to errors of
 its own, both by the map's joint covariance: with D a map's landmarks less what it recorded of them, in its own frame,
-the keyframe is off by ``G D`` and by an error of covariance Q, ``G = C_kl C_ll^-1``, ``Q = C_kk - G C_lk``. Keyframes
+the keyframe is off by ``G D`` and by an error of covariance Q, ``G = C_kl C_ll^-1``, ``Q = C_kk - G C_lk``. Both are
+errors beside the turn that all have in common (`turning`). Keyframes
 so need no unknowns of their own: walls measure landmarks. All offsets of two maps are one measurement, since they
 share the errors of keyframes and of walls.
 """
@@ -21,9 +22,11 @@ from mapfuse.datasets.maps import Keyframes, LandmarkMap
 from mapfuse.datasets.values import frozen_array, rebuilt, same_fields
 
 from .heading import headings_of
+from .joint import pivot_of
 from .keys import FrameKey, KeyBook, LandmarkKey, Unknown, map_keys
 from .measurement import Array, Poses, squared_error
 from .noise import floored_eigen
+from .turning import QUARTER, derivatives, errors, placed, turn
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -32,7 +35,7 @@ class Hanging:
 
     ``landmarks``: those of the joint covariance, in its order; ``recorded`` (n, 3): where it has them. ``places`` (m,):
     which of the 3n numbers have rows in it. ``keyframes`` (k, 3): recorded poses [m, m, rad]; ``by_landmarks``
-    (3k, m): G; ``alone`` (3k, 3k): Q.
+    (3k, m): G; ``alone`` (3k, 3k): Q. ``pivot`` (2,): about which all turn.
     """
 
     frame: FrameKey
@@ -42,9 +45,10 @@ class Hanging:
     keyframes: Array
     by_landmarks: Array
     alone: Array
+    pivot: Array
 
     def __post_init__(self) -> None:
-        for name in ("recorded", "keyframes", "by_landmarks", "alone"):
+        for name in ("recorded", "keyframes", "by_landmarks", "alone", "pivot"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
     def __eq__(self, other: object) -> bool:
@@ -56,28 +60,37 @@ class Hanging:
     def __reduce__(self) -> tuple[Any, ...]:
         return rebuilt(self)
 
-    def off(self, poses: Poses) -> Array:
-        """By how much the landmarks lie elsewhere than recorded, in the map's frame (m,)."""
-        seen = se2.between(poses[self.frame], np.array([poses[key] for key in self.landmarks]))
-        off = seen - self.recorded
-        off[:, 2] = se2.wrap(off[:, 2])
-        return np.asarray(off.reshape(-1)[list(self.places)])
+    def _seen(self, poses: Poses) -> Array:
+        return np.asarray(se2.between(poses[self.frame], np.array([poses[key] for key in self.landmarks])))
 
     def moved(self, poses: Poses) -> Array:
         """Where the landmarks put the keyframes, in the map's frame (k, 3)."""
-        return np.asarray(self.keyframes + (self.by_landmarks @ self.off(poses)).reshape(-1, 3))
+        seen = self._seen(poses)
+        off = self.by_landmarks @ errors(self.recorded, self.pivot, seen).reshape(-1)[list(self.places)]
+        return placed(self.keyframes, self.pivot, off.reshape(-1, 3), turn(self.recorded[:, :2], seen[:, :2])[0])
 
     def jacobians(self, poses: Poses) -> tuple[Array, Array]:
-        """Of `off` by the body tangents of the frame (m, 3) and of each landmark (m, 3n)."""
-        seen = se2.between(poses[self.frame], np.array([poses[key] for key in self.landmarks]))
-        n, places = len(seen), list(self.places)
+        """Of `moved` by the body tangents of the frame (3k, 3) and of each landmark (3k, 3n)."""
+        seen = self._seen(poses)
+        n, k = len(seen), len(self.keyframes)
         by_frame = np.tile(-np.eye(3), (n, 1, 1))
         by_frame[:, 0, 2], by_frame[:, 1, 2] = seen[:, 1], -seen[:, 0]
-        by_landmark = np.zeros((3 * n, 3 * n))
+        by_landmark = np.zeros((n, 3, 3 * n))
         for i, R in enumerate(se2.rotation(seen[:, 2])):
-            by_landmark[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = R
-            by_landmark[3 * i + 2, 3 * i + 2] = 1
-        return by_frame.reshape(-1, 3)[places], by_landmark[places]
+            by_landmark[i, :2, 3 * i : 3 * i + 2] = R
+            by_landmark[i, 2, 3 * i + 2] = 1
+        both = np.concatenate([by_frame, by_landmark], axis=2)
+        # of the errors by the tangents, then of the keyframes by the errors and the turn
+        R, lever, gradient = derivatives(self.recorded, self.pivot, seen)
+        by_turn = np.einsum("ni,nij->j", gradient, both[:, :2])
+        both[:, :2] = R @ both[:, :2] + lever[:, :, None] * by_turn
+        off = self.by_landmarks @ errors(self.recorded, self.pivot, seen).reshape(-1)[list(self.places)]
+        moved = (self.by_landmarks @ both.reshape(3 * n, -1)[list(self.places)]).reshape(k, 3, -1)
+        f = turn(self.recorded[:, :2], seen[:, :2])[0]
+        straight = off.reshape(-1, 3)[:, :2] - f * (self.keyframes[:, :2] - self.pivot) @ QUARTER.T
+        moved[:, :2] = R.T @ moved[:, :2] + (straight @ (R @ QUARTER.T))[:, :, None] * by_turn
+        whole = moved.reshape(3 * k, -1)
+        return whole[:, :3], whole[:, 3:]
 
 
 def keyframes_of(recorded: LandmarkMap) -> Keyframes:
@@ -110,7 +123,8 @@ def hanging(recorded: LandmarkMap, r: int) -> Hanging | None:
     alone = (vectors * np.maximum(values, 0.0)) @ vectors.T
     landmarks = tuple(keys.landmarks[name] for name in joint.order)
     places = tuple(3 * i + row for i, row in kept)
-    return Hanging(keys.frame, landmarks, poses, places, keyframes.poses, by_landmarks, alone)
+    about = pivot_of(recorded, joint)
+    return Hanging(keys.frame, landmarks, poses, places, keyframes.poses, by_landmarks, alone, about)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -262,7 +276,6 @@ def offset_jacobian(side1: Hanging, side2: Hanging, facing: Facing, poses: Poses
     T12 = se2.between(poses[side1.frame], poses[side2.frame])
     p2 = se2.transform(k2, facing.points2)
     (frame1, landmarks1), (frame2, landmarks2) = side1.jacobians(poses), side2.jacobians(poses)
-    by1, by2 = by1 @ side1.by_landmarks, by2 @ side2.by_landmarks
     # T12 = inv(T1) T2 by the tangents: of map 2 as it stands, of map 1 against it
     by_T2 = np.column_stack([n @ se2.rotation(float(T12[2])), _cross_lever(n, p2 - T12[:2])])
     by_T1 = np.column_stack([-n, -_cross_lever(n, p2)])

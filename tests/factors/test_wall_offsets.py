@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,7 @@ def test_derivatives_by_keyframes_are_those_of_the_offsets() -> None:
                 step = np.zeros(6)
                 step[c] = s
                 moved = [
-                    Hanging(h.frame, h.landmarks, h.recorded, h.places, h.keyframes + d, h.by_landmarks, h.alone)
+                    replace(h, keyframes=h.keyframes + d)
                     for h, d in (
                         (side1, step.reshape(-1, 3) * (which == 0)),
                         (side2, step.reshape(-1, 3) * (which == 1)),
