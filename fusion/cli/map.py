@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .console import Quiet, UsageError, Verbose, check_outputs, check_picture, note, teller, warn_on_stderr, writing
-from .names import FindIds, Named, NoIds, named
+from .names import NamePoints, NoIds, check_count, named
 from .progress import stages, watched
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def map_file(
     strict: Annotated[bool, typer.Option("--strict", help="Refuse a log with anything wrong in it.")] = False,
     robot: Annotated[int | None, typer.Option("--robot", min=1, help="Which robot of an MRCLAM folder.")] = None,
     no_ids: NoIds = False,
-    find_ids: FindIds = False,
+    name_points: NamePoints = False,
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="STATE", help="Go on from a saved state; LOG is what came after.")
     ] = None,
@@ -74,12 +74,12 @@ def map_file(
         raise UsageError(f"--plot: reads the log a second time, and {log} is a pipe")
     if truth is not None and resume is not None:
         raise UsageError("--truth: can't be used with --resume: the truth of the earlier part isn't in it")
-    if find_ids and resume is not None:
-        raise UsageError("--find-ids: can't be used with --resume: it looks at a whole log at once")
+    if name_points and (resume is not None or save_state is not None):
+        raise UsageError("--name-points: needs the whole log, so it can't be used with --resume or --save-state")
     warn_on_stderr(verbose=verbose)
 
-    names = named(_log(log, robot, strict=strict), no_ids=no_ids, find_ids=find_ids, quiet=quiet)
-    recorded = names.log
+    recorded = _log(log, robot, strict=strict)
+    names = named(recorded, no_ids=no_ids, name_points=name_points, quiet=quiet)
     known = _log_truth(truth)
 
     from mapfuse.datasets import write_map
@@ -87,13 +87,13 @@ def map_file(
 
     tell = teller(quiet=quiet)
     mapper = Mapper(recorded.header, WITH_KEYFRAMES if walls else None) if resume is None else Mapper.load(resume)
-    for event in watched(recorded.events, f"mapping {recorded.header.name}", quiet=quiet):
+    for event in watched(names.log.events, f"mapping {recorded.header.name}", quiet=quiet):
         mapper.update(event)
     with stages(f"solving {recorded.header.name}", quiet=quiet):
         made = mapper.map(joint=joint, keyframes=walls)
     if recorded.header.extra.get("simulated"):
         made = made.replace(extra={**made.extra, "simulated": True})
-    map_truth = None if known is None else _truth(mapper, made, known, names)
+    map_truth = None if known is None else _truth(mapper, made, names.truth(known))
     write_map(made, output)
     tell(f"{made.name}: {_counted(made)}, {mapper.length:.0f} m driven")
     if map_truth is not None and truth_output is not None:
@@ -105,7 +105,7 @@ def map_file(
         mapper.save(save_state)
     if plot is not None:
         _draw(recorded, made, known, plot)
-    for line in () if quiet else _remarks(mapper):
+    for line in () if quiet else _remarks(mapper, made, named=name_points):
         note(f"mapfuse: {line}")
     for path in (output, truth_output, plot, save_state):
         if path is not None:
@@ -147,15 +147,13 @@ def _log_truth(path: Path | None) -> LogTruth | None:
     return read_log_truth(path)
 
 
-def _truth(mapper: Mapper, made: LandmarkMap, known: LogTruth, names: Named) -> Truth:
+def _truth(mapper: Mapper, made: LandmarkMap, known: LogTruth) -> Truth:
     from mapfuse.datasets.mapper import truth_of_map
 
     if not len(known.path):
         raise UsageError("--truth: has no path, so where the map's frame is can't be told")
-    count = mapper.counters.detections if names.count is None else names.count
-    if len(known.detections) != count:
-        raise UsageError(f"--truth: is of {len(known.detections)} detections, and the log has {count}")
-    return truth_of_map(made, names.sources(mapper), known)
+    check_count(known, mapper.counters.detections)
+    return truth_of_map(made, mapper.sources, known)
 
 
 def _counted(map_: LandmarkMap) -> str:
@@ -189,8 +187,8 @@ def accuracy(map_: LandmarkMap, truth: Truth) -> str:
     return f"{there}, {np.median(apart):.2f} m (median) and {apart.max():.2f} m (largest) from their true places"
 
 
-def _remarks(mapper: Mapper) -> list[str]:
-    """What the mapper could not use as it was."""
+def _remarks(mapper: Mapper, made: LandmarkMap, *, named: bool) -> list[str]:
+    """What the mapper could not use as it was; ``named``: points had been given names before."""
     counters = mapper.counters
     said = {
         "late": "events came late",
@@ -198,6 +196,8 @@ def _remarks(mapper: Mapper) -> list[str]:
         "broken": "events were left out as broken",
         "unclear": "detections lay between two landmarks and were left out",
     }
+    if not named and not all(landmark.links for landmark in made.landmarks):
+        said["unclear"] += " (--name-points tells points without names and arms apart)"
     return [f"{getattr(counters, name)} {words}" for name, words in said.items() if getattr(counters, name, 0)]
 
 

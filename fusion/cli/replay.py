@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .console import Quiet, UsageError, Verbose, check_outputs, say, warn_on_stderr, writing
-from .names import FindIds, NoIds, named
+from .names import NamePoints, NoIds, named
 from .progress import progress
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def replay(
     ] = None,
     window: Annotated[bool, typer.Option("--window", help="The film in a window while it goes on.")] = False,
     no_ids: NoIds = False,
-    find_ids: FindIds = False,
+    name_points: NamePoints = False,
     strict: Annotated[bool, typer.Option("--strict", help="Refuse a log with anything wrong in it.")] = False,
     resume: Annotated[
         Path | None,
@@ -76,7 +76,9 @@ def replay(
     if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
         raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
     warn_on_stderr(verbose=verbose)
-    recorded = [named(log, no_ids=no_ids, find_ids=find_ids, quiet=quiet).log for log in _logs(logs, strict=strict)]
+    recorded = [
+        named(log, no_ids=no_ids, name_points=name_points, quiet=quiet).log for log in _logs(logs, strict=strict)
+    ]
     if len(recorded) < 2 and resume is None:
         raise UsageError("replay needs the logs of at least two robots")
     if video is not None:

@@ -123,7 +123,7 @@ def test_wrong_names_are_left_out_and_better_ones_found(command: Command, log: P
     known = read_log_truth(truth)
     write_log_truth(LogTruth("drive", known.path, (None, *seen), known.places, known.types), truth)
     out = tmp_path / "out.map.json"
-    assert command("map", log, "-o", out, "--no-ids", "--find-ids", "--truth", truth) == 0
+    assert command("map", log, "-o", out, "--no-ids", "--name-points", "--truth", truth) == 0
     assert len(read_map(out)) == len(TREES)
     assert set(read_truth(tmp_path / "out.truth.json").landmarks["drive"].values()) == set(TREES)
     assert command("map", log, "-o", out) == 0
@@ -173,7 +173,7 @@ def test_what_is_wrong_with_a_log_is_told_and_strict_refuses_it(log: Path, tmp_p
         (["drive.log.jsonl", "-o", "out.map.json", "--truth", "drive.log.jsonl"], "drive.log.jsonl: is not JSON"),
         (["drive.log.jsonl", "-o", "out.map.json", "--truth", "none.json"], "no such file"),
         (["drive.log.jsonl", "-o", "out.map.json", "--resume", "none.json"], "no such file"),
-        (["drive.log.jsonl", "-o", "out.map.json", "--resume", "none.json", "--find-ids"], "a whole log"),
+        (["drive.log.jsonl", "-o", "out.map.json", "--resume", "none.json", "--name-points"], "the whole log"),
         (["drive.log.jsonl", "-o", "out.map.json", "--resume", "drive.logtruth.json"], "drive.logtruth.json"),
         (["drive.log.jsonl"], "--output"),
     ],
