@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,6 +55,14 @@ def map_file(
     strict: Annotated[bool, typer.Option("--strict", help="Refuse a log with anything wrong in it.")] = False,
     robot: Annotated[int | None, typer.Option("--robot", min=1, help="Which robot of an MRCLAM folder.")] = None,
     no_ids: Annotated[bool, typer.Option("--no-ids", help="Don't use the names that detections carry.")] = False,
+    name_points: Annotated[
+        bool,
+        typer.Option(
+            "--name-points",
+            help="For points in open space, as trees: first find out from the whole log which detections without names "
+            "and arms are of one landmark. Seconds to a minute of work.",
+        ),
+    ] = False,
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="STATE", help="Go on from a saved state; LOG is what came after.")
     ] = None,
@@ -73,6 +82,8 @@ def map_file(
         raise UsageError(f"--plot: reads the log a second time, and {log} is a pipe")
     if truth is not None and resume is not None:
         raise UsageError("--truth: can't be used with --resume: the truth of the earlier part isn't in it")
+    if name_points and (resume is not None or save_state is not None):
+        raise UsageError("--name-points: needs the whole log, so it can't be used with --resume or --save-state")
     warn_on_stderr(verbose=verbose)
 
     recorded = _log(log, robot, strict=strict)
@@ -83,14 +94,17 @@ def map_file(
 
     tell = teller(quiet=quiet)
     mapper = Mapper(recorded.header, WITH_KEYFRAMES if walls else None) if resume is None else Mapper.load(resume)
-    events = _unnamed(recorded.events) if no_ids else recorded.events
+    events, looked_at = (_unnamed(recorded.events) if no_ids else recorded.events), known
+    if name_points:
+        with stages(f"naming what {recorded.header.name} saw", quiet=quiet):
+            events, looked_at = _named(replace(recorded, events=events), known)
     for event in watched(events, f"mapping {recorded.header.name}", quiet=quiet):
         mapper.update(event)
     with stages(f"solving {recorded.header.name}", quiet=quiet):
         made = mapper.map(joint=joint, keyframes=walls)
     if recorded.header.extra.get("simulated"):
         made = made.replace(extra={**made.extra, "simulated": True})
-    map_truth = None if known is None else _truth(mapper, made, known)
+    map_truth = None if looked_at is None else _truth(mapper, made, looked_at)
     write_map(made, output)
     tell(f"{made.name}: {_counted(made)}, {mapper.length:.0f} m driven")
     if map_truth is not None and truth_output is not None:
@@ -102,7 +116,7 @@ def map_file(
         mapper.save(save_state)
     if plot is not None:
         _draw(recorded, made, known, plot)
-    for line in () if quiet else _remarks(mapper):
+    for line in () if quiet else _remarks(mapper, made, named=name_points):
         note(f"mapfuse: {line}")
     for path in (output, truth_output, plot, save_state):
         if path is not None:
@@ -154,14 +168,30 @@ def _unnamed(events: Iterable[Event]) -> Iterable[Event]:
         yield msgspec.structs.replace(event, id=None) if isinstance(event, Detection) else event
 
 
+def _named(log: Log, known: LogTruth | None) -> tuple[Iterable[Event], LogTruth | None]:
+    """The events, where points have names now, and the truth of the detections that are left."""
+    from mapfuse.datasets.logs import Detection
+    from mapfuse.datasets.mapper.naming import name_detections
+
+    events = list(log.events)
+    named = name_detections(replace(log, events=events))
+    if known is not None:
+        _check_detections(known, sum(isinstance(event, Detection) for event in events))
+        known = replace(known, detections=tuple(known.detections[number] for number in named.numbers))
+    return named.log.events, known
+
+
+def _check_detections(known: LogTruth, count: int) -> None:
+    if len(known.detections) != count:
+        raise UsageError(f"--truth: is of {len(known.detections)} detections, and the log has {count}")
+
+
 def _truth(mapper: Mapper, made: LandmarkMap, known: LogTruth) -> Truth:
     from mapfuse.datasets.mapper import truth_of_map
 
     if not len(known.path):
         raise UsageError("--truth: has no path, so where the map's frame is can't be told")
-    count = mapper.counters.detections
-    if len(known.detections) != count:
-        raise UsageError(f"--truth: is of {len(known.detections)} detections, and the log has {count}")
+    _check_detections(known, mapper.counters.detections)
     return truth_of_map(made, mapper.sources, known)
 
 
@@ -196,8 +226,8 @@ def accuracy(map_: LandmarkMap, truth: Truth) -> str:
     return f"{there}, {np.median(apart):.2f} m (median) and {apart.max():.2f} m (largest) from their true places"
 
 
-def _remarks(mapper: Mapper) -> list[str]:
-    """What the mapper could not use as it was."""
+def _remarks(mapper: Mapper, made: LandmarkMap, *, named: bool) -> list[str]:
+    """What the mapper could not use as it was; ``named``: points had been given names before."""
     counters = mapper.counters
     said = {
         "late": "events came late",
@@ -205,6 +235,8 @@ def _remarks(mapper: Mapper) -> list[str]:
         "broken": "events were left out as broken",
         "unclear": "detections lay between two landmarks and were left out",
     }
+    if not named and not all(landmark.links for landmark in made.landmarks):
+        said["unclear"] += " (--name-points tells points without names and arms apart)"
     return [f"{getattr(counters, name)} {words}" for name, words in said.items() if getattr(counters, name, 0)]
 
 
