@@ -52,7 +52,7 @@ class ParticleConfig:
     """
 
     particles: int = 500
-    filters: int = 6
+    filters: int = 12
     behind: float = 10.0
     new_density: float = 0.003
     false_density: float = 0.0004
