@@ -88,7 +88,7 @@ def _free_name(type_: str, taken: set[str | None]) -> str:
 
 def _settled(named: NamedLog, ours: Collection[str], near: float) -> NamedLog:
     """With one name for landmarks, among ``ours``, that are one, and without those that aren't there."""
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if ours else 0):
         mapper = Mapper(named.log.header)
         for event in named.log.events:
             mapper.update(event)
