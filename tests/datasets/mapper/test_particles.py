@@ -125,7 +125,7 @@ def turning_blindly(seed):
 
 
 def test_filters_that_go_on_from_each_other_keep_a_history_that_they_would_lose_alone():
-    """Few particles, so that many histories are lost. On twelve such drives the mean gain was 88, its error about 30."""
+    """Few particles, so that many histories are lost. On twelve such drives the mean gain was 88, within about 30."""
     config = ParticleConfig(particles=10, filters=8)
     gained = []
     for seed in range(100, 108):
