@@ -65,8 +65,9 @@ def associate(events: Iterable[Event], sensors: Sensors, config: ParticleConfig,
     """
     types: dict[str, int] = {}
     frames = list(_frames(events, sensors, config, types))
-    filters = [Particles(sensors, config, np.random.default_rng([seed, k])) for k in range(config.filters)]
-    rng = np.random.default_rng([seed, config.filters])
+    count = config.filters_for(len(frames))
+    filters = [Particles(sensors, config, np.random.default_rng([seed, k])) for k in range(count)]
+    rng = np.random.default_rng([seed, count])
     chosen: list[list[_Small]] = []
     parents: list[list[tuple[int, _Small | None]]] = []
     for frame in frames:

@@ -13,7 +13,7 @@ from mapfuse.datasets.mapper.particle_filter import ParticleConfig
 from mapfuse.datasets.mapper.particles import associate, in_plain_sight
 
 SENSORS = Sensors(range_sigma=0.1, range_sigma_per_metre=0.0, bearing_sigma=0.03, odometry_turn_sigma_per_turn=0.1)
-FEW = ParticleConfig(particles=40, filters=2)
+FEW = ParticleConfig(particles=40, filters=2, moments=1)
 PLACES = np.array([[3.0, 3.0], [-3.0, 3.5], [-3.5, -3.0], [3.2, -3.4], [0.2, 5.0], [5.0, -0.5]])
 
 
@@ -126,7 +126,7 @@ def turning_blindly(seed):
 
 def test_filters_that_go_on_from_each_other_keep_a_history_that_they_would_lose_alone():
     """Few particles, so that many histories are lost. On twelve such drives the mean gain was 88, within about 30."""
-    config = ParticleConfig(particles=10, filters=8)
+    config = ParticleConfig(particles=10, filters=8, moments=1)
     gained = []
     for seed in range(100, 108):
         events = turning_blindly(seed)
@@ -169,7 +169,7 @@ def test_plain_sight_is_ahead_and_near():
     assert in_plain_sight(pose, places).tolist() == [[True, False, False, False, True]]
 
 
-@pytest.mark.parametrize("name", ["particles", "filters", "behind"])
+@pytest.mark.parametrize("name", ["particles", "filters", "moments", "behind"])
 def test_no_particles_are_refused(name):
     with pytest.raises(ConfigError, match=name):
         ParticleConfig(**{name: 0})
