@@ -84,7 +84,8 @@ class Remark:
 
 @dataclass(slots=True)
 class LogReport:
-    """What reading a log came upon, filled while its events are read: the first `MAX_KEPT` remarks, and all counted.
+    """What reading a log came upon, filled while its events are read: the first `MAX_KEPT` remarks, the first one of
+    each kind in any case, and all counted.
 
     Kinds: ``invalid`` (no event; left out), ``cut off`` (the last line or the compressed file; left out), ``unknown``
     (kind of event; left out), ``too long`` (left out), ``stray`` (its time fits nothing; left out), ``late`` (put in
@@ -103,8 +104,13 @@ class LogReport:
     def __str__(self) -> str:
         if not self.counts:
             return "nothing to report"
-        counted = ", ".join(f"{number:,} {kind}" for kind, number in self.counts.items())
-        return f"{counted}; {self.left_out:,} lines left out; first, {self.remarks[0]}"
+        first = {remark.kind: remark.line for remark in reversed(self.remarks)}
+        counted = [f"{number:,} {kind}" for kind, number in self.counts.items()]
+        if len(counted) > 1:
+            places = (f"{'line' if n == 1 else 'from line'} {first[kind]:,}" for kind, n in self.counts.items())
+            counted = [f"{what} ({place})" for what, place in zip(counted, places, strict=True)]
+        lines = "1 line" if self.left_out == 1 else f"{self.left_out:,} lines"
+        return f"{', '.join(counted)}; {lines} left out; first, {self.remarks[0]}"
 
 
 def read_log(path: str | Path, *, strict: bool = False, report: LogReport | None = None) -> Log:
@@ -334,7 +340,7 @@ class _Reading:
         if self.strict:
             raise FileFormatError(self.path, (Problem(f"line {line}", reason),))
         self.report.counts[kind] += 1
-        if len(self.report.remarks) < MAX_KEPT:
+        if len(self.report.remarks) < MAX_KEPT or self.report.counts[kind] == 1:
             self.report.remarks.append(Remark(line, kind, reason))
 
     # Lines

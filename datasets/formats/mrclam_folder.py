@@ -1,7 +1,7 @@
 """Folders of MRCLAM as they were published: the map of each robot, by the mapper; `mrclam` says how they are read.
 
 Each robot's map is in the frame where it started, with the joint covariance of all tubes. With ``barcodes=no`` tubes
-have no names, and the mapper finds out which is which.
+have no names, and it is found out by particles which is which (`mapper.naming`).
 """
 
 from __future__ import annotations
@@ -25,8 +25,12 @@ def _robots(path: Path) -> list[int]:
 
 
 def read(path: Path, part: str | None = None, barcodes: str = "yes") -> Reading:
-    """A map of each robot in a folder, or of the robot that ``part`` names (``robot3``). Takes seconds for each."""
+    """A map of each robot in a folder, or of the robot that ``part`` names (``robot3``).
+
+    Takes seconds for each, without barcodes up to a minute.
+    """
     from ..mapper import map_log
+    from ..mapper.naming import name_detections
 
     if barcodes not in _ANSWERS:
         raise ConfigError(f"{path}: option barcodes is {barcodes!r}; it must be yes or no")
@@ -37,4 +41,6 @@ def read(path: Path, part: str | None = None, barcodes: str = "yes") -> Reading:
         raise InputError(path, f"has no part {part!r}; there are {', '.join(robots)}")
     wanted = robots if part is None else {part: robots[part]}
     logs = [read_mrclam_log(path, robot, barcodes=_ANSWERS[barcodes]) for robot in wanted.values()]
+    if not _ANSWERS[barcodes]:
+        logs = [name_detections(log).log for log in logs]
     return Reading(tuple(map_log(log, joint=True) for log in logs), parts=tuple(wanted))

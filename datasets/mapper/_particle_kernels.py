@@ -10,6 +10,8 @@ import numpy as np
 from ..compiled import kernel
 
 NOTHING, NEW = -1, -2
+#: What keeps the covariance of a pose from being singular [m^2, rad^2].
+_LEAST = 1e-10
 
 
 @kernel
@@ -28,16 +30,16 @@ def take(
     out = np.full(uniform.shape, NOTHING, np.int64)
     used = np.zeros(key.shape[1], np.bool_)
     slot = np.empty(len(z), np.int64)
-    m, C, t = np.empty(3), np.empty((3, 3)), np.empty((2, 3))
+    m, C, t, nats = np.empty(3), np.empty((3, 3)), np.empty((2, 3)), np.empty(key.shape[1] + 2)
     for n in range(len(pose)):
         _move(pose[n], systematic[n], motion, by, Q, m, C)
         used[:] = False
         for d in range(len(z)):
-            slot[d], nats = _decide(
-                z[d], R[d], type_[d], uniform[n, d], m, C, t, mean[n], P[n], key[n], types[n], used,
+            slot[d], likelihood = _decide(
+                z[d], R[d], type_[d], uniform[n, d], m, C, t, nats, mean[n], P[n], key[n], types[n], used,
                 gate, new_nats, false_nats, near, again,
             )  # fmt: skip
-            weights[n] += temper * nats
+            weights[n] += temper * likelihood
         _drawn(m, C, normal[n], pose[n])
         weights[n] -= miss * _missed(pose[n], mean[n], key[n], hits[n], misses[n], used, plain, sure)
         for d in range(len(z)):
@@ -66,25 +68,37 @@ def take(
 def _move(pose, systematic, motion, by, Q, m, C):
     """The predicted pose ``m`` and its covariance ``C``."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    d = motion + by @ systematic
-    m[0], m[1], m[2] = pose[0] + c * d[0] - s * d[1], pose[1] + s * d[0] + c * d[1], pose[2] + d[2]
-    G = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    C[:] = G @ Q @ G.T
+    for i in range(3):
+        m[i] = motion[i] + by[i, 0] * systematic[0] + by[i, 1] * systematic[1] + by[i, 2] * systematic[2]
+    m[0], m[1], m[2] = pose[0] + c * m[0] - s * m[1], pose[1] + s * m[0] + c * m[1], pose[2] + m[2]
+    C[0, 0] = c * c * Q[0, 0] - 2 * c * s * Q[0, 1] + s * s * Q[1, 1]
+    C[0, 1] = c * s * (Q[0, 0] - Q[1, 1]) + (c * c - s * s) * Q[0, 1]
+    C[1, 1] = s * s * Q[0, 0] + 2 * c * s * Q[0, 1] + c * c * Q[1, 1]
+    C[0, 2], C[1, 2], C[2, 2] = c * Q[0, 2] - s * Q[1, 2], s * Q[0, 2] + c * Q[1, 2], Q[2, 2]
+    C[1, 0], C[2, 0], C[2, 1] = C[0, 1], C[0, 2], C[1, 2]
 
 
 @kernel
-def _decide(z, R, type_, uniform, m, C, t, mean, P, key, types, used, gate, new_nats, false_nats, near, again):
+def _decide(z, R, type_, uniform, m, C, t, nats, mean, P, key, types, used, gate, new_nats, false_nats, near, again):
     """Draw what a detection is: a landmark's place, or `NOTHING`, or `NEW`; and its log-likelihood.
 
     Pose ``m`` and covariance ``C`` are corrected by one that is taken for a known landmark.
     """
     room = len(key)
-    nats = np.full(room + 2, -np.inf)
+    nats[:] = -np.inf
     is_near = False
+    c, s = np.cos(m[2]), np.sin(m[2])
+    x, y = m[0] + c * z[0] - s * z[1], m[1] + s * z[0] + c * z[1]
+    of_all = 2 * (C[0, 0] + C[1, 1]) + R[0, 0] + R[1, 1]
     for k in range(room):
         if key[k] < 0 or types[k] != type_:
             continue
-        r0, r1, a, b, d = _innovation(z, R, m, C, mean[k], P[k], t)
+        # an innovation has no variance beyond this: twice that of place and of turn by the lever, and the others'
+        lever = (mean[k, 0] - m[0]) ** 2 + (mean[k, 1] - m[1]) ** 2
+        most = of_all + 2 * C[2, 2] * lever + P[k, 0, 0] + P[k, 1, 1]
+        if (mean[k, 0] - x) ** 2 + (mean[k, 1] - y) ** 2 > max(gate * most, near * near):
+            continue
+        r0, r1, a, b, d = _innovation(z, R, m, c, s, C, mean[k], P[k], t)
         if np.hypot(r0, r1) < near:
             is_near = True
         determinant = a * d - b * b
@@ -106,17 +120,17 @@ def _decide(z, R, type_, uniform, m, C, t, mean, P, key, types, used, gate, new_
         below += nats[pick]
     if pick < room:
         used[pick] = True
-        _correct(z, R, m, C, mean[pick], P[pick], t)
+        _correct(z, R, m, c, s, C, mean[pick], P[pick], t)
     return (pick if pick < room else (NEW if pick == room else NOTHING)), top + np.log(total)
 
 
 @kernel
-def _innovation(z, R, m, C, mean, P, t):
+def _innovation(z, R, m, c, s, C, mean, P, t):
     """Residual (r0, r1) of a detection of the landmark at ``mean``, and its covariance [[a, b], [b, d]].
 
-    ``t`` (2, 3): how the pose goes together with the two residuals, set here.
+    ``c``, ``s``: cosine and sine of the heading. ``t`` (2, 3): how the pose goes together with the two residuals, set
+    here.
     """
-    c, s = np.cos(m[2]), np.sin(m[2])
     dx, dy = mean[0] - m[0], mean[1] - m[1]
     u, v = c * dx + s * dy, c * dy - s * dx
     for i in range(3):
@@ -130,9 +144,9 @@ def _innovation(z, R, m, C, mean, P, t):
 
 
 @kernel
-def _correct(z, R, m, C, mean, P, t):
+def _correct(z, R, m, c, s, C, mean, P, t):
     """Correct the pose by a detection of the landmark at ``mean``."""
-    r0, r1, a, b, d = _innovation(z, R, m, C, mean, P, t)
+    r0, r1, a, b, d = _innovation(z, R, m, c, s, C, mean, P, t)
     determinant = a * d - b * b
     for i in range(3):
         gain0, gain1 = (d * t[0, i] - b * t[1, i]) / determinant, (a * t[1, i] - b * t[0, i]) / determinant
@@ -144,21 +158,29 @@ def _correct(z, R, m, C, mean, P, t):
 @kernel
 def _drawn(m, C, normal, pose):
     """Draw the pose from its normal distribution."""
-    pose[:] = m + np.linalg.cholesky((C + C.T) / 2 + 1e-10 * np.eye(3)) @ normal
+    # Cholesky's factor by hand: numpy's makes an array each time, which costs more than all else here
+    xx = np.sqrt(C[0, 0] + _LEAST)
+    yx, tx = C[1, 0] / xx, C[2, 0] / xx
+    yy = np.sqrt(max(C[1, 1] - yx * yx, 0.0) + _LEAST)
+    ty = (C[2, 1] - tx * yx) / yy
+    tt = np.sqrt(max(C[2, 2] - tx * tx - ty * ty, 0.0) + _LEAST)
+    pose[0] = m[0] + xx * normal[0]
+    pose[1] = m[1] + yx * normal[0] + yy * normal[1]
+    pose[2] = m[2] + tx * normal[0] + ty * normal[1] + tt * normal[2]
 
 
 @kernel
 def _missed(pose, mean, key, hits, misses, used, plain, sure):
     """Count the landmarks in plain sight that were not seen; how many of these are sure ones."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
+    nearest, farthest, aside = plain[0] ** 2, plain[1] ** 2, np.tan(plain[2])
     count = 0
     for k in range(len(key)):
         if key[k] < 0 or used[k]:
             continue
         dx, dy = mean[k, 0] - pose[0], mean[k, 1] - pose[1]
         u, v = c * dx + s * dy, c * dy - s * dx
-        away = np.hypot(u, v)
-        if plain[0] < away < plain[1] and abs(np.arctan2(v, u)) < plain[2]:
+        if nearest < dx * dx + dy * dy < farthest and abs(v) < aside * u:
             misses[k] += 1
             count += hits[k] > sure
     return count

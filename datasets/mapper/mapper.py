@@ -175,6 +175,10 @@ class Mapper:
         if not isfinite(event.x + event.y + event.theta + event.t):
             self.state.counters.broken += 1
             return
+        if last is None:
+            # the pose that all begins with is that of the first odometry, whenever the clock began
+            start = self.state.memory.keyframes[0]
+            self.state.memory.keyframes[0] = msgspec.structs.replace(start, t=event.t)
         reckoning.odometry(event)
         self.state.recent.append(event)
         if len(self.state.recent) > 2 * _RECENT:

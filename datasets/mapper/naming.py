@@ -18,7 +18,8 @@ import numpy as np
 from ..logs import Detection, Event, Log
 from .finish import Finished, finish
 from .mapper import Mapper
-from .particles import ParticleConfig, associate, in_plain_sight, is_nameless
+from .particle_filter import ParticleConfig
+from .particles import associate, in_plain_sight, is_nameless
 
 #: Rounds of joining doubles and smoothing anew, at most.
 _ROUNDS = 8
@@ -46,7 +47,7 @@ def name_detections(log: Log, config: ParticleConfig | None = None, *, seed: int
     >>> moves = [Odometry(0.1 * k, 0.1 * k, 0.0, 0.0) for k in range(20)]
     >>> looks = [Detection(0.1 * k, "tree", 4 - 0.1 * k, 0.0) for k in range(20)]
     >>> events = sorted([*moves, *looks], key=lambda event: event.t)
-    >>> named = name_detections(Log(LogHeader("D7"), events), ParticleConfig(particles=20, runs=2))
+    >>> named = name_detections(Log(LogHeader("D7"), events), ParticleConfig(particles=20, filters=2))
     >>> {event.id for event in named.log.events if isinstance(event, Detection)}
     {'tree.1'}
     """
@@ -87,7 +88,7 @@ def _free_name(type_: str, taken: set[str | None]) -> str:
 
 def _settled(named: NamedLog, ours: Collection[str], near: float) -> NamedLog:
     """With one name for landmarks, among ``ours``, that are one, and without those that aren't there."""
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if ours else 0):
         mapper = Mapper(named.log.header)
         for event in named.log.events:
             mapper.update(event)

@@ -43,7 +43,7 @@ class Track:
 def track_of(memory: Memory, poses: Array, here: tuple[float, float, tuple[float, float, float]]) -> Track:
     """The way, from the remembered places on it; ``here``: time, way, and pose seen from the last keyframe."""
     first = memory.keyframes[0]
-    rows = [(memory.path[0].t if memory.path else here[0], first.way, 0, 0.0, 0.0, 0.0)]
+    rows = [(first.t, first.way, 0, 0.0, 0.0, 0.0)]
     rows += [(w.t, w.way, w.keyframe, w.x, w.y, w.theta) for w in memory.path]
     if here[1] > rows[-1][1]:
         rows.append((here[0], here[1], len(memory.keyframes) - 1, *here[2]))

@@ -359,13 +359,23 @@ def test_the_report_counts_all_and_keeps_the_first(read):
     assert str(report).startswith("1,500 invalid; 1,500 lines left out; first, line 2: is not JSON")
 
 
+def test_the_report_says_of_each_kind_where_it_begins(read):
+    """However many remarks of another kind came before."""
+    events, report = read(b"x\n" * (MAX_KEPT + 500) + drive(0, 3) + b'{"event": "song"}\n' + drive(3, 5)[:-9])
+    assert len(events) == 7
+    song = 1 + MAX_KEPT + 500 + 3 + 1
+    assert str(report).startswith(
+        f"1,500 invalid (from line 2), 1 unknown (line {song:,}), 1 cut off (line {song + 5:,}); 1,502 lines left out"
+    )
+
+
 def test_a_lenient_reader_warns_once_at_the_end(tmp_path, caplog):
     file = tmp_path / "a.log.jsonl"
     file.write_bytes(HEAD + drive(0, 5) + b"x\n")
     with caplog.at_level(logging.WARNING, logger="mapfuse.datasets.logfile"):
         list(read_log(file).events)
     assert [record.getMessage() for record in caplog.records] == [
-        f"{file}: 1 invalid; 1 lines left out; first, line 7: is not JSON: invalid character (byte 0)"
+        f"{file}: 1 invalid; 1 line left out; first, line 7: is not JSON: invalid character (byte 0)"
     ]
     caplog.clear()
     file.write_bytes(HEAD + drive(0, 5))

@@ -8,6 +8,7 @@ import pty
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -29,8 +30,9 @@ SENSORS = Sensors(field_of_view=2 * np.pi, detection_rate=0.95, false_alarm_rate
 START = np.array([5.0, -2.0, np.pi / 2])
 
 
-def events(first: float = 0.0, last: float = 10.0) -> tuple[list[Event], list[str]]:
-    """A robot going straight ahead at 1 m/s, one look a second at trees within 3 m; which tree each look was at."""
+def events(first: float = 0.0, last: float = 10.0, every: int = 10) -> tuple[list[Event], list[str]]:
+    """A robot going straight ahead at 1 m/s, a look every so many tenths of a second at trees within 3 m; which tree
+    each look was at."""
     found: list[Event] = []
     seen: list[str] = []
     for k in range(round(10 * first), round(10 * last)):
@@ -38,7 +40,7 @@ def events(first: float = 0.0, last: float = 10.0) -> tuple[list[Event], list[st
         found.append(Odometry(x, x, 0.0, 0.0))
         for name, (tree_x, tree_y) in TREES.items():
             away = float(np.hypot(tree_x - x, tree_y))
-            if k % 10 == 0 and away < 3.0:
+            if k % every == 0 and away < 3.0:
                 found.append(Detection(x, "tree", away, float(np.arctan2(tree_y, tree_x - x))))
                 seen.append(name)
     return found, seen
@@ -130,6 +132,26 @@ def test_wrong_names_are_left_out_and_better_ones_found(command: Command, log: P
     assert len(read_map(out)) != len(TREES)
 
 
+def test_points_are_named_from_the_whole_log(
+    command: Command, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header, (recorded, seen) = LogHeader("drive", "vespucci", sensors=SENSORS), events(every=3)
+    # what was seen of nothing, twice: it gets no name, and the truth of all others stays theirs
+    for t in (4.05, 8.05):
+        at = next(k for k, event in enumerate(recorded) if event.t > t)
+        seen.insert(sum(isinstance(event, Detection) for event in recorded[:at]), "")
+        recorded.insert(at, Detection(t, "tree", 2.9, 2.5))
+    write_log(Log(header, recorded), log)
+    truth = read_log_truth(log.with_name("drive.logtruth.json"))
+    known = tuple(name or None for name in seen)
+    write_log_truth(replace(truth, detections=known), log.with_name("drive.logtruth.json"))
+    out = tmp_path / "out.map.json"
+    assert command("map", log, "-o", out, "--name-points", "--truth", log.with_name("drive.logtruth.json")) == 0
+    assert "3 of 3 landmarks are there" in capsys.readouterr().out
+    assert {landmark.id for landmark in read_map(out).landmarks} == {"tree.1", "tree.2", "tree.3"}
+    assert sorted(read_truth(tmp_path / "out.truth.json").landmarks["drive"].values()) == sorted(TREES)
+
+
 def test_a_log_may_come_through_a_pipe_but_not_for_a_picture(log: Path, tmp_path: Path) -> None:
     whole, piped = tmp_path / "whole.map.json", tmp_path / "piped.map.json"
     subprocess.run([MAPFUSE, "map", log, "-o", whole], check=True, capture_output=True)
@@ -175,6 +197,7 @@ def test_what_is_wrong_with_a_log_is_told_and_strict_refuses_it(log: Path, tmp_p
         (["drive.log.jsonl", "-o", "out.map.json", "--resume", "none.json"], "no such file"),
         (["drive.log.jsonl", "-o", "out.map.json", "--resume", "none.json", "--name-points"], "the whole log"),
         (["drive.log.jsonl", "-o", "out.map.json", "--resume", "drive.logtruth.json"], "drive.logtruth.json"),
+        (["drive.log.jsonl", "-o", "out.map.json", "--name-points", "--save-state", "s.json"], "needs the whole log"),
         (["drive.log.jsonl"], "--output"),
     ],
 )  # fmt: skip

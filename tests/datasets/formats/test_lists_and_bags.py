@@ -80,13 +80,14 @@ def test_real_object_lists(shared_data):
     assert set(tubes.types) == {"tube"}
 
 
-def mrclam(folder):
+def mrclam(folder, every=0.5):
     """Two robots that drive 1 m in 2 s past a tube, of barcode 72 and number 6, 3 m ahead; one of them is a robot."""
     folder.mkdir()
     (folder / "Barcodes.dat").write_text("1 5\n6 72\n")
     for robot, bearing in ((1, 0.0), (3, 0.5)):
         odometry = "".join(f"{100 + k / 10} 0.5 0.0\n" for k in range(21))
-        seen = "".join(f"{100.5 + k / 2} 72 {2.7 - k / 4} {bearing}\n" for k in range(3))
+        times = 100.5 + np.arange(0.0, 1.01, every)
+        seen = "".join(f"{t:.1f} 72 {2.7 - (t - 100.5) / 2:.3f} {bearing}\n" for t in times)
         (folder / f"Robot{robot}_Odometry.dat").write_text(odometry)
         (folder / f"Robot{robot}_Measurement.dat").write_text(seen + "101.0 5 1.0 0.0\n")
     return folder
@@ -104,6 +105,14 @@ def test_an_mrclam_folder_is_a_map_of_each_robot(tmp_path):
         read_all(f"{folder}#robot2")
     with pytest.raises(ConfigError, match="barcodes is 'maybe'; it must be yes or no"):
         read_all(folder, barcodes="maybe")
+
+
+def test_without_barcodes_tubes_of_mrclam_are_told_apart_by_particles(tmp_path):
+    folder = mrclam(tmp_path / "set", every=0.1)
+    (known,) = read_all(f"{folder}#robot1")[0].maps
+    (map_,) = read_all(f"{folder}#robot1", barcodes="no")[0].maps
+    assert (known.ids, map_.ids) == (("6",), ("tube.1",))
+    assert map_.positions == pytest.approx(known.positions, abs=0.05)
 
 
 TUBES = np.array([[3.0, 1.0], [6.0, -1.0], [9.0, 1.5]])

@@ -72,6 +72,19 @@ def test_a_detection_before_any_odometry_is_seen_from_the_start():
     assert mapper.map().positions.round(6).tolist() == [[0.0, 2.0]]
 
 
+def test_the_path_says_when_the_robot_was_where():
+    mapper = Mapper(HEADER)
+    for k in range(60):
+        # stands still for a second, then goes on at 1 m/s
+        mapper.update(Odometry(5.0 + 0.1 * k, max(0.0, 0.1 * k - 1.0), 0.0, 0.0))
+    t, x, y, theta = mapper.map().path.T
+    assert (t[0], t[-1]) == (5.0, pytest.approx(10.9))
+    assert x[1:] == pytest.approx(t[1:] - 6.0)
+    assert len(t) > 8
+    assert np.all(np.diff(t) > 0)
+    assert not np.any([x[0], *y, *theta])
+
+
 def test_a_name_decides_outright():
     mapper = Mapper(HEADER)
     mapper.update(Detection(0.0, "tube", 2.0, 0.0, id="7"))
