@@ -668,7 +668,8 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
     holder, held, of_match = np.full(n1, -1, dtype=np.int32), np.zeros(n1), np.zeros(n1)
     layer = ((two.label % cells.layers) * cells.nx).astype(np.int32)
     x2, y2 = two.values[:, X].copy(), two.values[:, Y].copy()
-    room = BLOCK * MOST_LOOKED_AT
+    # a cell lists no landmark twice
+    room = min(BLOCK, n2) * min(MOST_LOOKED_AT, n1)
     suitors = Suitors(
         np.empty(BLOCK),
         np.empty(BLOCK),
