@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from typing import TypeVar
 from unittest.mock import patch
 
 import numpy as np
@@ -32,6 +33,9 @@ Array = NDArray[np.float64]
 #: How many rival partners a landmark may have.
 _PARTNERS = 3
 _PAPER_TRIALS = 30_000_000
+#: Calls of which the best one counts, unless the first takes longer than this [s, wall].
+CALLS, LONG_CALL_S = 5, 5.0
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,26 +125,31 @@ def _kiss(map1: LandmarkMap, map2: LandmarkMap, tolerance_m: float) -> Answer:
 
 
 def _mutual(described1: Array, described2: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Landmarks that are among each other's most alike ones: places in map 1 and in map 2."""
-    k = min(_PARTNERS, len(described1), len(described2))
-    of2, of1 = _most_alike(described1, described2, k), _most_alike(described2, described1, k)
-    forward = {(int(i), j) for j, row in enumerate(of2) for i in row}
-    both = sorted(forward & {(i, int(j)) for i, row in enumerate(of1) for j in row})
-    return np.array([i for i, _ in both], dtype=np.intp), np.array([j for _, j in both], dtype=np.intp)
+    """Landmarks that are among each other's most alike ones: places in map 1 and in map 2, by these.
 
-
-def _most_alike(those: Array, of: Array, k: int) -> NDArray[np.intp]:
-    """The k rows of ``those`` that are nearest to each of ``of``; (n, k).
-
-    With hundreds of columns trees are slower than the product of both, some rows at a time.
+    With hundreds of columns trees are slower than the product of both maps' rows, some at a time; columns that say
+    nothing are left out.
     """
-    those, of = those.astype(np.float32), of.astype(np.float32)
+    k = min(_PARTNERS, len(described1), len(described2))
+    used = described1.any(axis=0) | described2.any(axis=0)
+    those, all2 = (described[:, used].astype(np.float32) for described in (described1, described2))
     squared = np.sum(those**2, axis=1)
-    found = [
-        np.argpartition(squared - 2 * of[begin : begin + 500] @ those.T, k - 1, axis=1)[:, :k]
-        for begin in range(0, len(of), 500)
-    ]
-    return np.concatenate(found).astype(np.intp)
+    of2, of1, apart1 = [], [], []
+    for begin in range(0, len(all2), 500):
+        rows = all2[begin : begin + 500]
+        apart = squared + np.sum(rows**2, axis=1)[:, None] - 2 * rows @ those.T
+        of2.append(np.argpartition(apart, k - 1, axis=1)[:, :k])
+        few = min(k, len(rows))
+        nearest = np.argpartition(apart, few - 1, axis=0)[:few]
+        of1.append(nearest + begin)
+        apart1.append(np.take_along_axis(apart, nearest, axis=0))
+    nearest = np.argpartition(np.concatenate(apart1), k - 1, axis=0)[:k]
+    backward = np.take_along_axis(np.concatenate(of1), nearest, axis=0)
+    n2 = len(described2)
+    pairs = np.intersect1d(
+        np.concatenate(of2) * n2 + np.arange(n2)[:, None], np.arange(len(described1)) * n2 + backward
+    )
+    return pairs // n2, pairs % n2
 
 
 def run_within(
@@ -167,6 +176,19 @@ def run_within(
     return found
 
 
+def best_of_calls(run: Callable[[], Found], wall_s: Callable[[Found], float]) -> tuple[Found, float]:
+    """Of `CALLS` calls' answers the one that took the least processor time, and that time [s]; one call if it is long.
+
+    Short calls are disturbed by whatever else the machine does; ours and the others' alike.
+    """
+    answers: list[tuple[Found, float]] = []
+    while not answers or (len(answers) < CALLS and wall_s(answers[0][0]) < LONG_CALL_S):
+        begin = time.process_time()
+        answer = run()
+        answers.append((answer, time.process_time() - begin))
+    return min(answers, key=lambda found: found[1])
+
+
 def _run_limited(
     sender: Connection,
     name: str,
@@ -181,9 +203,8 @@ def _run_limited(
     few = [m.replace(landmarks=m.landmarks[:40], joint_covariance=None, same_as={}) for m in (map1, map2)]
     with patch(f"{__name__}.descriptors", lambda *_: tuple(d[:40] for d in described)):
         chosen.run(few[0], few[1], tolerance_m)
-    begin = time.process_time()
+    started = time.process_time()
     # the system ends a process that has used that much, whatever it is busy with
-    resource.setrlimit(resource.RLIMIT_CPU, (int(begin) + limit_s + 1, int(begin) + limit_s + 2))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(started) + limit_s + 1, int(started) + limit_s + 2))
     with patch(f"{__name__}.descriptors", lambda *_: described):
-        answer = chosen.run(map1, map2, tolerance_m)
-    sender.send((answer, time.process_time() - begin))
+        sender.send(best_of_calls(lambda: chosen.run(map1, map2, tolerance_m), lambda answer: answer.seconds))

@@ -22,6 +22,8 @@ MAX_TURNS = 4
 ROTATION_BINS = 180
 # Candidates of one place that are looked at; more stand there only if the map is a heap.
 MOST_LOOKED_AT = 256
+# Landmarks of map 2 whose partners are sought at a time: what is known of them stays in the processor's nearest memory.
+BLOCK = 64
 
 
 # columns of `Side.values`: a landmark's numbers lie together in memory, as they are looked at together
@@ -53,6 +55,26 @@ class Cells(NamedTuple):
     layers: int
     start: Codes
     members: Codes
+
+
+class Suitors(NamedTuple):
+    """Room for a block of map 2's landmarks, and for whom each of them may be matched with.
+
+    Of each (BLOCK,): ``x`` and ``y`` in frame 1, ``spread`` [m^2]: variance of its place by distance, ``cell``; and
+    ``start`` (BLOCK + 1,): where its matches begin. Of each match: ``place`` in map 1, ``asks``: in map 2, ``squared``
+    residual, ``variance`` and ``gain`` [nats].
+    """
+
+    x: Array
+    y: Array
+    spread: Array
+    cell: Codes
+    start: Codes
+    place: Codes
+    asks: Codes
+    squared: Array
+    variance: Array
+    gain: Array
 
 
 class Seen(NamedTuple):
@@ -250,7 +272,7 @@ def _first_at_least(values, begin, end, bound):
     return begin
 
 
-@kernel
+@inlined
 def _first_from(values, begin, end, k, bound):
     """`_first_at_least`, sought from ``k``: short where that is near."""
     while k < end and values[k] < bound:
@@ -258,6 +280,67 @@ def _first_from(values, begin, end, k, bound):
     while k > begin and values[k - 1] >= bound:
         k -= 1
     return k
+
+
+@inlined
+def _first_above_from(values, begin, end, k, bound):
+    """The first that is greater than ``bound``, sought from ``k``."""
+    while k < end and values[k] <= bound:
+        k += 1
+    while k > begin and values[k - 1] > bound:
+        k -= 1
+    return k
+
+
+@inlined
+def _interval(part, heading1, begin, end, near, middle, width):
+    """Places [begin, end) of the headings within ``width`` of ``middle``, or none.
+
+    Headings are sorted within (-pi, pi]; the interval may stick out at one end: its other ``part``. ``near`` (2,):
+    where the last one's first part began and ended, near which the next one's does.
+    """
+    low, high = middle - width, middle + width
+    if part == 1:
+        if low < -np.pi:
+            low, high = low + TWO_PI, np.pi + 1e-9
+        elif high > np.pi:
+            low, high = -np.pi - 1e-9, high - TWO_PI
+        else:
+            return 0, 0
+        first = _first_at_least(heading1, begin, end, low)
+        last = first
+        while last < end and heading1[last] <= high:
+            last += 1
+        return first, last
+    near[0] = _first_from(heading1, begin, end, near[0], low)
+    near[1] = _first_above_from(heading1, begin, end, near[1], high)
+    return near[0], near[1]
+
+
+@kernel
+def _cast(start1, heading1, x1, y1, pattern2, heading2, rx, ry, count, offset, theta, width, x0, y0, scale, grid):
+    """All votes, counted in the cells of ``grid``."""
+    nx, ny = grid.shape
+    cells = grid.reshape(-1)
+    near = np.zeros((len(start1) - 1, MAX_TURNS, 2), dtype=np.int64)
+    for a in range(len(start1) - 1):
+        near[a] = start1[a]
+    for j in range(len(pattern2)):
+        b = pattern2[j]
+        for a in range(len(start1) - 1):
+            for t in range(count[a, b]):
+                middle = _wrap(theta + heading2[j] - offset[a, b, t])
+                for part in range(2):
+                    first, last = _interval(part, heading1, start1[a], start1[a + 1], near[a, t], middle, width)
+                    for k in range(first, last):
+                        cx, cy = int((x1[k] - rx[j] - x0) * scale) + 1, int((y1[k] - ry[j] - y0) * scale) + 1
+                        if cx >= nx:
+                            cx %= nx
+                        if cy >= ny:
+                            cy %= ny
+                        cell = np.uint64(cx * ny + cy)
+                        if cells[cell] < 65535:
+                            cells[cell] += np.uint16(1)
 
 
 @kernel
@@ -271,7 +354,8 @@ def vote(start1, heading1, xy1, pattern2, heading2, xy2, count, offset, theta, w
     nx, ny = grid.shape
     c, s = np.cos(theta), np.sin(theta)
     rx, ry = c * xy2[:, 0] - s * xy2[:, 1], s * xy2[:, 0] + c * xy2[:, 1]
-    x0, y0 = xy1[:, 0].min() - rx.max(), xy1[:, 1].min() - ry.max()
+    x1, y1 = xy1[:, 0].copy(), xy1[:, 1].copy()
+    x0, y0 = x1.min() - rx.max(), y1.min() - ry.max()
     scale = 1 / size
     n_patterns = len(start1) - 1
 
@@ -279,69 +363,51 @@ def vote(start1, heading1, xy1, pattern2, heading2, xy2, count, offset, theta, w
     strength = np.zeros(n_peaks, dtype=np.int64)
     whole = np.zeros((n_peaks, 2), dtype=np.int64)  # unfolded cell of the majority, and its lead
     sums = np.zeros((n_peaks, 6))
-    begins = np.zeros((n_patterns, MAX_TURNS), dtype=np.int32)
-    found = 0
-    folded = (xy1[:, 0].max() - rx.min() - x0) * scale >= nx or (xy1[:, 1].max() - ry.min() - y0) * scale >= ny
-    for turn in range(3):
+    folded = (x1.max() - rx.min() - x0) * scale >= nx or (y1.max() - ry.min() - y0) * scale >= ny
+    _cast(start1, heading1, x1, y1, pattern2, heading2, rx, ry, count, offset, theta, width, x0, y0, scale, grid)
+    found = _peaks(grid, cell_x, cell_y, strength)
+    _paint(grid, cell_x, cell_y, strength, found)
+    # those who voted for a peak are known well enough from some hundred
+    every = 1 + len(pattern2) // 300
+    cells, near = grid.reshape(-1), np.zeros((n_patterns, MAX_TURNS, 2), dtype=np.int64)
+    for turn in range(1, 3):
         if turn == 1 and not folded:
             continue
-        # those who voted for a peak are known well enough from some hundred
-        every = 1 if turn == 0 else 1 + len(pattern2) // 300
-        # voters come by pattern, then heading: the next one's interval begins near the last one's
         for a in range(n_patterns):
-            begins[a] = start1[a]
+            near[a] = start1[a]
         for j in range(0, len(pattern2), every):
             b = pattern2[j]
             for a in range(n_patterns):
                 for t in range(count[a, b]):
                     middle = _wrap(theta + heading2[j] - offset[a, b, t])
                     for part in range(2):
-                        # heading1 is sorted within (-pi, pi]; the interval may stick out at one end
-                        low, high = middle - width, middle + width
-                        if part == 1:
-                            if low < -np.pi:
-                                low, high = low + TWO_PI, np.pi + 1e-9
-                            elif high > np.pi:
-                                low, high = -np.pi - 1e-9, high - TWO_PI
-                            else:
-                                break
-                        if part == 0:
-                            k = _first_from(heading1, start1[a], start1[a + 1], begins[a, t], low)
-                            begins[a, t] = k
-                        else:
-                            k = _first_at_least(heading1, start1[a], start1[a + 1], low)
-                        while k < start1[a + 1] and heading1[k] <= high:
-                            x, y = xy1[k, 0] - rx[j], xy1[k, 1] - ry[j]
+                        first, last = _interval(part, heading1, start1[a], start1[a + 1], near[a, t], middle, width)
+                        for k in range(first, last):
+                            x, y = x1[k] - rx[j], y1[k] - ry[j]
                             ux, uy = int((x - x0) * scale) + 1, int((y - y0) * scale) + 1
                             cx, cy = ux, uy
                             if cx >= nx:
                                 cx %= nx
                             if cy >= ny:
                                 cy %= ny
-                            if turn == 0:
-                                if grid[cx, cy] < 65535:
-                                    grid[cx, cy] += np.uint16(1)
-                            elif grid[cx, cy] > 0:
-                                p = grid[cx, cy] - 1
-                                fold = (ux // nx) * 65536 + uy // ny if folded else 0
-                                if turn == 1:
-                                    if whole[p, 0] == fold:
-                                        whole[p, 1] += 1
-                                    elif whole[p, 1] == 0:
-                                        whole[p, 0], whole[p, 1] = fold, 1
-                                    else:
-                                        whole[p, 1] -= 1
-                                elif whole[p, 0] == fold:
-                                    sums[p, 0] += 1
-                                    sums[p, 1] += x
-                                    sums[p, 2] += y
-                                    sums[p, 3] += xy2[j, 0]
-                                    sums[p, 4] += xy2[j, 1]
-                                    sums[p, 5] += _wrap(heading1[k] - middle)
-                            k += 1
-        if turn == 0:
-            found = _peaks(grid, cell_x, cell_y, strength)
-            _paint(grid, cell_x, cell_y, strength, found)
+                            p = np.int64(cells[np.uint64(cx * ny + cy)]) - 1
+                            if p < 0:
+                                continue
+                            fold = (ux // nx) * 65536 + uy // ny if folded else 0
+                            if turn == 1:
+                                if whole[p, 0] == fold:
+                                    whole[p, 1] += 1
+                                elif whole[p, 1] == 0:
+                                    whole[p, 0], whole[p, 1] = fold, 1
+                                else:
+                                    whole[p, 1] -= 1
+                            elif whole[p, 0] == fold:
+                                sums[p, 0] += 1
+                                sums[p, 1] += x
+                                sums[p, 2] += y
+                                sums[p, 3] += xy2[j, 0]
+                                sums[p, 4] += xy2[j, 1]
+                                sums[p, 5] += _wrap(heading1[k] - middle)
     grid[:] = 0
     T12s, centre, votes = np.zeros((found, 3)), np.zeros((found, 2)), np.zeros(found)
     n = 0
@@ -462,17 +528,16 @@ def sorted_into_cells(xy, label, per_m, nx, ny, layers, x, y):
     return start, members
 
 
-@kernel
+@inlined
 def _ones(bits):
-    """How many bits are set."""
-    n = 0
-    while bits != np.uint64(0):
-        bits &= bits - np.uint64(1)
-        n += 1
-    return n
+    """How many bits are set, without a branch: sums of two, of four, of eight bits, and of all bytes at once."""
+    bits = bits - ((bits >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    bits = (bits & np.uint64(0x3333333333333333)) + ((bits >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    bits = (bits + (bits >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((bits * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@kernel
+@inlined
 def _turned(bits, sectors):
     """Directions turned by a number of sectors in 0..63."""
     if sectors == 0:
@@ -521,6 +586,47 @@ def _best(j, x, y, theta, sectors, spread, cells, one, two, rules, held, holder)
     return best, most, best_variance
 
 
+@kernel
+def _suitors(
+    first, n, x, y, theta, c, s, sectors, centre_x, centre_y, loose, x2, y2, layer, cells, one, two, rules, out
+):
+    """The landmarks of map 1 within the gate of ``n`` of map 2 from ``first``, and what each match says [nats]."""
+    nx, ny = cells.nx, cells.ny
+    for b in range(n):
+        px, py = x2[first + b], y2[first + b]
+        away = (px - centre_x) ** 2 + (py - centre_y) ** 2
+        out.spread[b] = rules.bend * np.sqrt(away) + loose * away
+        at_x, at_y = c * px - s * py + x, s * px + c * py + y
+        out.x[b], out.y[b] = at_x, at_y
+        cx, cy = (at_x - cells.x) * cells.per_m, (at_y - cells.y) * cells.per_m
+        inside = (cx >= 0) & (cy >= 0) & (cx < nx) & (cy < ny)
+        out.cell[b] = (layer[first + b] + int(cx)) * ny + int(cy) if inside else -1
+    found = 0
+    limit, most = rules.gate * rules.gate, rules.most_variance
+    start, members, values, label = cells.start, cells.members, one.values, one.label
+    place, asks, squares, variances = out.place, out.asks, out.squared, out.variance
+    for b in range(n):
+        out.start[b] = found
+        own = out.cell[b]
+        if own < 0:
+            continue
+        j = first + b
+        begin, end = start[own], start[own + 1]
+        at_x, at_y, spread = out.x[b], out.y[b], out.spread[b]
+        wide, own_label = two.values[j, VARIANCE], two.label[j]
+        for m in range(begin, min(end, begin + MOST_LOOKED_AT)):
+            i = members[m]
+            squared = (values[i, X] - at_x) ** 2 + (values[i, Y] - at_y) ** 2
+            variance = min(values[i, VARIANCE] + wide + spread, most)
+            place[found], asks[found] = i, j
+            squares[found], variances[found] = squared, variance
+            # counted without a branch, which nobody could foresee
+            found += (label[i] == own_label) & (squared <= limit * variance)
+    out.start[n] = found
+    for q in range(found):
+        out.gain[q] = _gain(place[q], asks[q], squares[q], variances[q], theta, sectors, one, two, rules)
+
+
 @inlined
 def _passed(seen, x, y):
     fx, fy = (x - seen.x) * seen.per_m, (y - seen.y) * seen.per_m
@@ -560,6 +666,22 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
     partner = np.full((len(T12s), n2), -1, dtype=np.int32)
     seed = np.full(len(T12s), -1, dtype=np.int32)
     holder, held, of_match = np.full(n1, -1, dtype=np.int32), np.zeros(n1), np.zeros(n1)
+    layer = ((two.label % cells.layers) * cells.nx).astype(np.int32)
+    x2, y2 = two.values[:, X].copy(), two.values[:, Y].copy()
+    # a cell lists no landmark twice
+    room = min(BLOCK, n2) * min(MOST_LOOKED_AT, n1)
+    suitors = Suitors(
+        np.empty(BLOCK),
+        np.empty(BLOCK),
+        np.empty(BLOCK),
+        np.empty(BLOCK, dtype=np.int32),
+        np.zeros(BLOCK + 1, dtype=np.int32),
+        np.empty(room, dtype=np.int32),
+        np.empty(room, dtype=np.int32),
+        np.empty(room),
+        np.empty(room),
+        np.empty(room),
+    )
     for k in range(len(T12s)):
         mine = partner[k]
         x, y, theta, c, s = 0.0, 0.0, 0.0, 1.0, 0.0
@@ -568,39 +690,73 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
             c, s = np.cos(theta), np.sin(theta)
             sectors = int(np.floor(theta / TWO_PI * 64 + 0.5)) % 64
             loose = looseness[turn] ** 2
-            holder[:] = -1
+            if turn > 0:
+                for j in range(n2):
+                    if mine[j] >= 0:
+                        holder[mine[j]] = -1
             steps = 0
-            for first in range(n2):
-                mine[first] = -1
-                j = first
-                # deferred acceptance: who is displaced by a better one asks again
-                while j >= 0 and steps < 4 * n2:
+            for first in range(0, n2, BLOCK):
+                n_asking = min(BLOCK, n2 - first)
+                _suitors(
+                    first,
+                    n_asking,
+                    x,
+                    y,
+                    theta,
+                    c,
+                    s,
+                    sectors,
+                    centres[k, 0],
+                    centres[k, 1],
+                    loose,
+                    x2,
+                    y2,
+                    layer,
+                    cells,
+                    one,
+                    two,
+                    rules,
+                    suitors,
+                )
+                for b in range(n_asking):
+                    j = first + b
+                    mine[j] = -1
+                    if steps >= 4 * n2:
+                        continue
                     steps += 1
-                    px, py = two.values[j, X], two.values[j, Y]
-                    away = (px - centres[k, 0]) ** 2 + (py - centres[k, 1]) ** 2
-                    spread = rules.bend * np.sqrt(away) + loose * away
-                    i, gain, variance = _best(
-                        j,
-                        c * px - s * py + x,
-                        s * px + c * py + y,
-                        theta,
-                        sectors,
-                        spread,
-                        cells,
-                        one,
-                        two,
-                        rules,
-                        held,
-                        holder,
-                    )
-                    if i < 0:
-                        break
-                    displaced = holder[i]
-                    holder[i], held[i], of_match[i] = j, gain, variance
-                    mine[j] = i
-                    if displaced >= 0:
+                    i, gain, variance = -1, rules.least_gain, 1.0
+                    for q in range(suitors.start[b], suitors.start[b + 1]):
+                        of, its = suitors.place[q], suitors.gain[q]
+                        if its > gain and (holder[of] < 0 or its > held[of]):
+                            i, gain, variance = of, its, suitors.variance[q]
+                    # deferred acceptance: who is displaced by a better one asks again
+                    while i >= 0:
+                        displaced = holder[i]
+                        holder[i], held[i], of_match[i] = j, gain, variance
+                        mine[j] = i
+                        if displaced < 0:
+                            break
                         mine[displaced] = -1
-                    j = displaced
+                        if steps >= 4 * n2:
+                            break
+                        steps += 1
+                        j = displaced
+                        px, py = two.values[j, X], two.values[j, Y]
+                        away = (px - centres[k, 0]) ** 2 + (py - centres[k, 1]) ** 2
+                        i, gain, variance = _best(
+                            j,
+                            c * px - s * py + x,
+                            s * px + c * py + y,
+                            theta,
+                            sectors,
+                            rules.bend * np.sqrt(away) + loose * away,
+                            cells,
+                            one,
+                            two,
+                            rules,
+                            held,
+                            holder,
+                        )
             if turn + 1 < len(looseness):
                 _align(T12s, centres, k, mine, of_match, one, two, rules)
         # x, y, theta, c and s are those of the last turn, which doesn't align
@@ -630,6 +786,9 @@ def assess(T12s, centres, looseness, both_ways, one, two, cells, seen1, seen2, r
         if both_ways and seen1.void > 0:
             total += seen1.void * _common_ways(seen2, seen1, -(c * x + s * y), s * x - c * y, -theta)
         score[k], count[k] = total, n
+        for j in range(n2):
+            if mine[j] >= 0:
+                holder[mine[j]] = -1
     return T12s, centres, score, count, partner, seed
 
 

@@ -135,6 +135,13 @@ class LandmarkArrays:
         return frozen(np.lexsort((off_centre.round(6), -self.nearest.round(6))))
 
     @cached_property
+    def isolation_rank(self) -> NDArray[np.intp]:
+        """The place of each landmark in `by_isolation` (n,)."""
+        rank = np.empty(len(self), dtype=np.intp)
+        rank[self.by_isolation] = np.arange(len(self))
+        return frozen(rank)
+
+    @cached_property
     def by_place(self) -> NDArray[np.intp]:
         """Places in the map in an order in which neighbours in space come close to each other (n,)."""
         if not len(self):
@@ -160,7 +167,7 @@ class LandmarkArrays:
             return make()
         found: Kept | None = self._kept.get(key)
         if found is None:
-            if len(self._kept) > 7:
+            if len(self._kept) > 15:
                 self._kept.clear()
             found = self._kept[key] = make()
         return found

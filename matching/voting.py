@@ -48,8 +48,11 @@ class Settings:
     between these bounds. ``peaks``: of each rotation mode; ``modes``: at most.
     ``glance``: landmarks of map 2 by which all candidates are compared, ``refined``: how many of them remain.
     ``sample``: landmarks by which these are refined where a map has more than ``full`` of them, and ``last``: how many
-    are then still compared by all landmarks, at least, however large the maps are; ``ways``: how many places a robot's
-    ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the order of place.
+    are then still compared by all landmarks, at least, however large the maps are; ``few``: how many remain of large
+    maps' after the glance, at least. Of more only those remain whose score is within ``behind`` [nats], times the root
+    of the number of landmarks compared by, of the best one's: so the error of a sum over landmarks grows.
+    ``ways``: how many places a robot's ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the
+    order of place.
     ``cell_m`` [m]: of the grid. ``rotation_width`` [rad]: of a mode. ``looseness`` [rad]: by how much a candidate's
     rotation may be off. ``gate``: standard deviations. ``arm``, ``contradiction`` [nats]: for each arm that meets one
     of the same or of the other passability. ``least_gain`` [nats]: of a match. To measure what they are worth:
@@ -57,7 +60,7 @@ class Settings:
     """
 
     direct: int = 2048
-    votes: int = 1_500_000
+    votes: int = 200_000
     voters: int = 200
     cells: tuple[int, int] = (100_000, 2_000_000)
     peaks: int = 48
@@ -67,6 +70,8 @@ class Settings:
     sample: int = 300
     full: int = 400
     last: int = 8
+    few: int = 16
+    behind: float = 4.0
     ways: int = 1500
     sorted: int = 2000
     cell_m: float = 1.5
@@ -213,10 +218,8 @@ class Pair:
         able = np.flatnonzero(cast > 0)
         if cast.sum() <= self.settings.votes:
             return able
-        place = np.empty(len(self.two), dtype=np.intp)
-        place[self.two.by_isolation] = np.arange(len(self.two))
-        lonely = place[self.two.patterns.members[able]]
-        order = np.lexsort((lonely, cast[able]))
+        lonely = self.two.isolation_rank[self.two.patterns.members[able]]
+        order = np.argsort(cast[able] * len(self.two) + lonely)
         within = int(np.searchsorted(np.cumsum(cast[able][order]), self.settings.votes / 2))
         rare = order[: max(within, 1)][: self.settings.voters]
         others = np.argsort(lonely)[np.linspace(0, len(lonely) - 1, self.settings.voters).astype(np.intp)]
@@ -225,8 +228,8 @@ class Pair:
 
     def _grid(self, xy1: Array, xy2: Array) -> tuple[float, tuple[int, int]]:
         """Size [m] of the cells of the counters, and how many there are along each axis."""
-        diagonal2 = float(np.hypot(*np.ptp(xy2, axis=0)))
-        extent = np.ptp(xy1, axis=0) + diagonal2
+        diagonal2 = float(np.hypot(*_extent(xy2)))
+        extent = _extent(xy1) + diagonal2
         cells = float(np.clip(40 * len(xy1), *self.settings.cells))
         size = self.settings.cell_m
         wanted = extent / size + 3
@@ -257,13 +260,16 @@ class Pair:
         if len(candidates) > 3 * settings.refined // 2:
             part = scene.part(settings.glance)
             rough = scene.assess(candidates, (loose,), part)
-            candidates = self._best(rough, settings.refined)
+            fewest = settings.refined if scene.cost <= settings.full else settings.few
+            candidates = self._best(rough, settings.refined, fewest, settings.glance)
         cost = scene.cost
         if cost > settings.full:
             part = scene.part(settings.sample)
             limit = int(np.clip(settings.refined * settings.full / cost, settings.last, settings.refined))
-            candidates = self._best(scene.assess(candidates, (loose, loose / 3, 0.0), part), limit)
-            found = scene.assess(candidates, (0.0,) if cost > settings.sorted else (0.0, 0.0))
+            sampled = scene.assess(candidates, (loose, loose / 3, 0.0), part)
+            candidates = self._best(sampled, limit, settings.last, settings.sample)
+            # aligned by some hundred landmarks a candidate of a large map is known well enough
+            found = scene.assess(candidates, (0.0,) if cost > 2 * settings.full else (0.0, 0.0))
         else:
             found = scene.assess(candidates, (loose, loose / 3, 0.0))
         score = found.score + self._compass(found.candidates.T12s[:, 2])
@@ -279,11 +285,18 @@ class Pair:
         found = _Scene(self).assess(candidates, (loose, loose / 3, 0.0))
         return replace(found, score=found.score + self._compass(found.candidates.T12s[:, 2]))
 
-    def _best(self, found: Assessed, limit: int) -> Candidates:
-        """The distinct ones of the best candidates."""
+    def _best(self, found: Assessed, limit: int, fewest: int, compared_by: int) -> Candidates:
+        """The distinct ones of the best candidates, ``limit`` at most.
+
+        Beyond the ``fewest`` first only those whose score, ``compared_by`` so many landmarks, isn't hopelessly behind.
+        """
         score = found.score + self._compass(found.candidates.T12s[:, 2])
-        ordered = found.candidates.taken(_best_first(score, found.candidates.T12s))
-        return ordered.taken(self._distinct(ordered, self.config.tolerance_m / 2, limit))
+        order = _best_first(score, found.candidates.T12s)
+        ordered = found.candidates.taken(order)
+        kept = self._distinct(ordered, self.config.tolerance_m / 2, limit)
+        behind = score[order[0]] - score[order[kept]]
+        near = int(np.searchsorted(behind, self.settings.behind * np.sqrt(compared_by), side="right"))
+        return ordered.taken(kept[: max(near, fewest)])
 
     def _distinct(self, candidates: Candidates, tolerance_m: float, limit: int) -> Indices:
         # turns of a map of one landmark are distinct, too
@@ -330,6 +343,11 @@ def rotation_modes(votes: Array, width: float, limit: int) -> list[float]:
     return [float(se2.wrap(centre * step)) for centre in centres.tolist()]
 
 
+def _extent(xy: Array) -> Array:
+    """Of points (n, 2) along both axes [m]; by columns, which numpy is quicker with."""
+    return np.array([np.ptp(xy[:, 0]), np.ptp(xy[:, 1])])
+
+
 def _best_first(score: Array, T12s: Array) -> Indices:
     """Order by score, then by rotation and place, that equal ones have an order whatever the last bits say."""
     worst_last = -np.round(score, 9)
@@ -362,6 +380,7 @@ class _Scene:
         self.sorted = max(len(one), len(two)) > settings.sorted
         self.side1 = self._side(one, pair.label1, two)
         self.side2 = self._side(two, pair.label2, one)
+        self.faced2 = self._seen_by(two, one), self.linear, self.sorted
         self.by_isolation2 = two.isolation_by_place if self.sorted else two.by_isolation
         void = _void(one, two, rate1, rate2, self.linear) * settings.against
         self.seen1, self.seen2 = (self._seen(way, void) for way in (way1, way2))
@@ -390,14 +409,17 @@ class _Scene:
         return len(self.pair.two) * max(1.0, min(self.crowd, 256.0) / 3) + len(self.pair.one) / 4
 
     def _side(self, own: LandmarkArrays, label: NDArray[np.int32], other: LandmarkArrays) -> Any:
-        seen_by_other = tuple(other.noise.detection(name) for name in own.labels)
-        faced = own.facing(seen_by_other, self.linear, self.sorted)
+        faced = own.facing(self._seen_by(own, other), self.linear, self.sorted)
         values = faced.values
         if not self.pair.settings.against:
             values = frozen(np.column_stack([values[:, :-1], np.zeros(len(own))]))
         if self.sorted:
             label = label[own.by_place]
         return self.pair.kernels.Side(values, faced.arms, frozen(label), faced.linear)
+
+    @staticmethod
+    def _seen_by(own: LandmarkArrays, other: LandmarkArrays) -> tuple[float, ...]:
+        return tuple(other.noise.detection(name) for name in own.labels)
 
     def _seen(self, way: Travelled, void: float) -> Any:
         step = way.step if self.linear else 2 * way.step * way.width if way.has_links else way.step**2
@@ -416,14 +438,21 @@ class _Scene:
 
     def part(self, size: int) -> Part:
         """``size`` of map 2's landmarks, evenly by how far each is from the next: wherever, in whatever order."""
-        n, ways = len(self.pair.two), self.seen2.samples
-        side, share = self.side2, min(1.0, size / n)
-        if n > size:
-            chosen = np.sort(self.by_isolation2[np.linspace(0, n - 1, size).astype(np.intp)])
-            side = type(side)(*(frozen(values[chosen]) for values in side))
+        two, ways, share = self.pair.two, self.seen2.samples, min(1.0, size / len(self.pair.two))
         every = max(1, len(ways) // size)
+
+        def make() -> tuple[tuple[NDArray[Any], ...], Array]:
+            columns = tuple(self.side2)
+            if len(two) > size:
+                chosen = np.sort(self.by_isolation2[np.linspace(0, len(two) - 1, size).astype(np.intp)])
+                columns = tuple(frozen(values[chosen]) for values in columns)
+            return columns, frozen(ways[::every])
+
+        # codes that the other map has a say in make another part, as the measuring of misses does
+        own = self.pair.label2 is two.label and self.pair.settings.against
+        columns, samples = two.kept(("part", size, len(ways), *self.faced2) if own else None, make)
         void = 2 * self.seen2.void * every * share
-        return Part(side, self.seen2._replace(samples=frozen(ways[::every]), void=void))
+        return Part(self.pair.kernels.Side(*columns), self.seen2._replace(samples=samples, void=void))
 
     def assess(self, candidates: Candidates, looseness: tuple[float, ...], part: Part | None = None) -> Assessed:
         """Candidates matched and aligned in turns, the last of which scores; see the kernel.

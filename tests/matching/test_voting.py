@@ -238,6 +238,34 @@ def test_votes_find_what_trying_every_pair_finds(floors):
         assert set(found[0].correspondences) == set(direct[0].correspondences)
 
 
+def test_only_what_is_hopelessly_behind_goes_no_further_in_large_maps(floors):
+    # a clear pair loses also-rans only; where a floor is beside a copy of itself, both places stay
+    pair = floors.pair_of_maps(700, "irregular", np.random.default_rng(TUNING[0]))
+    everything = propose_by_votes(pair.map1, pair.map2, settings=Settings(behind=np.inf))
+    found = propose_by_votes(pair.map1, pair.map2)
+    assert 8 <= len(found) < len(everything)
+    assert found[0] == everything[0]
+    assert max(found[1].score, everything[1].score) < found[0].score - 4 * np.sqrt(300)
+    copy = moved(pair.map1, [-1000.0, 0.0, 0.0])
+
+    def renamed(landmarks):
+        return tuple(
+            replace(
+                l,
+                id=f"copy of {l.id}",
+                links=tuple(
+                    replace(k, connected_to_id=k.connected_to_id and f"copy of {k.connected_to_id}") for k in l.links
+                ),
+            )
+            for l in landmarks
+        )
+
+    twins = pair.map1.replace(landmarks=(*pair.map1.landmarks, *renamed(copy.landmarks)))
+    here, there = propose_by_votes(twins, pair.map2)[:2]
+    assert abs(here.score - there.score) < 1.0
+    assert abs(np.hypot(here.T12.x - there.T12.x, here.T12.y - there.T12.y) - 1000.0) < 1.0
+
+
 @pytest.mark.parametrize(
     "at",
     [
