@@ -2,7 +2,8 @@
 
 Simulated results: one pair with 1,000 landmarks and its joint covariance, and a batch run of 500 maps with 20,000
 compared pairs in groups of ten. Needs Chromium and its driver. Loading is timed from opening the file until the page
-says that it is ready, the middle one of several times.
+says that it is ready, the middle one of several times; how long the page's own thread was busy meanwhile depends less
+on what else the machine does.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import tempfile
 import time
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,8 +66,8 @@ def write_run(folder: Path, maps: int, pairs: int, rng: np.random.Generator) -> 
     (folder / "pairs.csv").write_text("\n".join(rows), encoding="utf-8")
 
 
-def load_seconds(page: Path, repeat: int) -> float:
-    """Middle time [s] until Chromium has the page ready."""
+def load_seconds(page: Path, repeat: int) -> tuple[float, float]:
+    """Middle time [s] until Chromium has the page ready, and that for which the page's thread was busy."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
@@ -77,15 +79,23 @@ def load_seconds(page: Path, repeat: int) -> float:
                      f"--user-data-dir={profile}"):  # fmt: skip
             options.add_argument(flag)
         driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
-        times = []
+        times, busy = [], []
         for _ in range(repeat):
             driver.get("about:blank")
+            driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
+            before = _busy(driver)
             begin = time.perf_counter()
             driver.get(page.as_uri())
             assert driver.execute_script("return document.documentElement.dataset.ready") == "yes"
             times.append(time.perf_counter() - begin)
+            busy.append(_busy(driver) - before)
         driver.quit()
-    return statistics.median(times)
+    return statistics.median(times), statistics.median(busy)
+
+
+def _busy(driver: Any) -> float:
+    metrics = driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return float({m["name"]: m["value"] for m in metrics}["TaskDuration"])
 
 
 def main() -> None:
@@ -94,7 +104,7 @@ def main() -> None:
     quick = parser.parse_args().quick
     part, repeat = (10, 1) if quick else (1, 5)
     rng = np.random.default_rng(1)
-    print("| page | size [MB] | ready in Chromium [s] |\n|---|---|---|")
+    print("| page | size [MB] | ready in Chromium [s] | page's thread busy [s] |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         fused_report(result(("A", "B"), 1000 // part, rng, joint=True), folder / "pair.html")
@@ -105,7 +115,8 @@ def main() -> None:
             (f"a batch of {500 // part} maps, {20_000 // part} pairs", folder / "batch.html"),
         ):
             size = page.stat().st_size / 1e6
-            print(f"| {title} | {size:.2f} | {load_seconds(page, repeat):.2f} |", flush=True)
+            ready, busy = load_seconds(page, repeat)
+            print(f"| {title} | {size:.2f} | {ready:.2f} | {busy:.2f} |", flush=True)
 
 
 if __name__ == "__main__":

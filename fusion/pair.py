@@ -24,7 +24,7 @@ from .known import agreeing, check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
 from .repetition import repeats
 from .solve import Solution, solve
-from .wallfit import weighed_by_walls
+from .wallfit import weighed_by_conflicts, weighed_by_walls
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ NEGLIGIBLE = 1e-4
 #: A proposal whose score is so far [nats] below the best one's isn't grown. Of 36 tuning pairs no hypothesis within 20
 #: nats of the best, or above -6, had a score more than 41 below, but those that grew to the answer of a better one.
 HOPELESS = 50.0
-#: How often hypotheses are weighed again where walls speak.
+#: How often the best hypotheses get graphs where walls speak; further ones are held against the walls without one.
 WALL_ROUNDS = 5
 #: Log odds against no overlap [nats] below which a rival is no image of another placement.
 LEAST_RIVAL = -5.0
@@ -149,6 +149,26 @@ def judged(weighed: list[Weighed], background: Background, config: FuseConfig, s
     return decide(weighed, alias, config.evidence, config.decision)
 
 
+def _against_walls(verdict: Verdict, asked: set[int], background: Background, config: FuseConfig) -> Verdict:
+    """The verdict once walls have spoken on every hypothesis that is not negligible; ``asked``: ids of those they have.
+
+    What walls take from the best ones would else go to many that they would speak against as well.
+    """
+    while True:
+        answers = list(verdict.ranked)
+        open_ = [
+            k
+            for k, (w, probability) in enumerate(zip(answers, verdict.probabilities, strict=False))
+            if probability >= NEGLIGIBLE and id(w) not in asked
+        ]
+        if not open_:
+            return verdict
+        for k in open_:
+            answers[k] = weighed_by_conflicts(answers[k], config.walls)
+            asked.add(id(answers[k]))
+        verdict = judged(answers, background, config)
+
+
 def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, stated: Transform | None = None) -> PairOutcome:
     """Propose, grow, weigh, solve, decide; ``stated``: what the user knows of T12, with its covariance."""
 
@@ -177,6 +197,8 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, stated: Tran
                 answers[k] = told(after)
                 solutions[id(answers[k])] = solution
         verdict = judged(answers, background, config)
+    if config.walls.use:
+        verdict = _against_walls(verdict, set(solutions), background, config)
     check_known(verdict.ranked, m1, m2, known)
     best = verdict.ranked[0] if verdict.decision == "merged" else None
     if best is not None and id(best) not in solutions:  # weighed again, one beyond the shortlist may come out first

@@ -92,11 +92,20 @@ def weighed_by_walls(w: Weighed, solution: Solution, config: WallsConfig) -> tup
     """A solved hypothesis with what walls say for its placement and against it; unchanged where they say nothing."""
     fit = with_walls(solution, config)
     solution = solution if fit is None else fit.solution
-    found = evidence_of_walls(solution, config)
+    return _told(w, evidence_of_walls(solution, config)), solution
+
+
+def weighed_by_conflicts(w: Weighed, config: WallsConfig) -> Weighed:
+    """A hypothesis with what walls say against it, both maps bent onto each other by its matches: without a graph."""
+    joined = w.growth.joined
+    return _told(w, wall_evidence(joined.m1.map, joined.m2.map, joined.T12, config, placed=joined.corrected()))
+
+
+def _told(w: Weighed, found: WallEvidence | None) -> Weighed:
     if found is None:
-        return w, solution
+        return w
     # an image of the right place has the same corridors, not the same walls
-    return replace(w, terms=replace(w.terms, walls=found.nats), apart=w.apart + found.nats), solution
+    return replace(w, terms=replace(w.terms, walls=found.nats), apart=w.apart + found.nats)
 
 
 def evidence_of_walls(solution: Solution, config: WallsConfig) -> WallEvidence | None:

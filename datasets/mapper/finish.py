@@ -26,7 +26,9 @@ from .memory import Known, Memory
 from .passes import Pass, Track, existence, passes_of, track_of
 from .smooth import Smoothed, arm_starts
 from .state import joint_state
+from .walljoins import seen_again
 from .walls import walls_of
+from .walltracks import Walls, followed_walls
 
 if TYPE_CHECKING:
     from .mapper import Mapper
@@ -120,7 +122,8 @@ class Finished:
         for k, frame in enumerate(memory.keyframes):
             if chosen and frame.way - memory.keyframes[chosen[-1]].way < _KEYFRAMES_APART:
                 continue
-            pieces = [piece for piece in memory.pieces if piece.keyframe == k]
+            # what was seen a little further on is off by odometry until there
+            pieces = [piece for piece in memory.pieces if piece.keyframe == k and piece.here]
             seen = walls_of(pieces, [hit for hit in memory.hits if hit.keyframe == k], still, self.mapper.config)
             if seen:
                 ends = [(*a, *b) for line in seen for a, b in pairwise(line.tolist())]
@@ -131,10 +134,49 @@ class Finished:
         return Keyframes(at, np.array(walls).reshape(-1, 5), with_border @ J.T, matrix)
 
 
-def finish(mapper: Mapper) -> Finished:
-    """All that the mapper remembers, solved once more with doubles joined."""
+def finish(mapper: Mapper, walls: bool = False) -> Finished:
+    """All that the mapper remembers, solved once more with doubles joined.
+
+    ``walls``: held straight by the walls that scans saw again and again (`walltracks`); they then help to find
+    doubles, too.
+    """
     landmarks, memory = mapper.landmarks, mapper.memory
     smoothed = mapper.smoothed(landmarks, memory)
+    landmarks, memory, smoothed = _without_doubles(mapper, landmarks, memory, smoothed, None)
+    if walls:
+        landmarks, memory, smoothed = _held_by_walls(mapper, landmarks, memory, smoothed)
+    here = mapper.reckoned()
+    track = track_of(memory, smoothed.estimate.poses, here)
+    near = mapper.config.pass_distance
+    frames, e = memory.keyframes, smoothed.estimate
+    passes, there = {}, {}
+    for k, (key, landmark) in enumerate(landmarks.items()):
+        seen = [frames[memory.sightings[i].keyframe].way for i in landmark.sightings]
+        passes[key] = passes_of(e.landmarks[k], seen, track, mapper.sensors, near)
+        there[key] = existence(landmark.type, passes[key], near, mapper.sensors)
+    return Finished(mapper, landmarks, memory, smoothed, passes, there, track)
+
+
+def _held_by_walls(
+    mapper: Mapper, landmarks: Mapping[int, Known], memory: Memory, smoothed: Smoothed
+) -> tuple[Mapping[int, Known], Memory, Smoothed]:
+    """The solved map with the walls that were seen from several keyframes; as it is where there are none."""
+    found = followed_walls(memory, smoothed.estimate.poses, mapper.sensors, mapper.config)
+    if not len(found.lines):
+        return landmarks, memory, smoothed
+    straight = mapper.smoothed(landmarks, memory, found)
+    if not straight.converged:
+        return landmarks, memory, smoothed
+    found, straight = seen_again(
+        found.at(straight.estimate), straight, lambda walls: mapper.smoothed(landmarks, memory, walls)
+    )
+    return _without_doubles(mapper, landmarks, memory, straight, found)
+
+
+def _without_doubles(
+    mapper: Mapper, landmarks: Mapping[int, Known], memory: Memory, smoothed: Smoothed, walls: Walls | None
+) -> tuple[Mapping[int, Known], Memory, Smoothed]:
+    """The solved map with landmarks joined that stand twice, as long as there are any and the map bears it."""
     refused: set[tuple[int, int]] = set()
     for _ in range(_ROUNDS):
         pairs = _doubles(landmarks, memory, smoothed, mapper.config, refused)
@@ -149,21 +191,12 @@ def finish(mapper: Mapper) -> Finished:
             break
         directions = _directions(landmarks, smoothed)
         new, new_memory = joined(landmarks, memory, pairs, mapper.config, directions)
-        after = mapper.smoothed(new, new_memory)
+        after = mapper.smoothed(new, new_memory, walls)
         if 2 * (after.error - smoothed.error) > chi2_beyond(1e-4, 3 * len(pairs)) + 2 * len(pairs):
             refused |= set(pairs)
             continue
         landmarks, memory, smoothed = new, new_memory, after
-    here = mapper.reckoned()
-    track = track_of(memory, smoothed.estimate.poses, here)
-    near = mapper.config.pass_distance
-    frames, e = memory.keyframes, smoothed.estimate
-    passes, there = {}, {}
-    for k, (key, landmark) in enumerate(landmarks.items()):
-        seen = [frames[memory.sightings[i].keyframe].way for i in landmark.sightings]
-        passes[key] = passes_of(e.landmarks[k], seen, track, mapper.sensors, near)
-        there[key] = existence(landmark.type, passes[key], near, mapper.sensors)
-    return Finished(mapper, landmarks, memory, smoothed, passes, there, track)
+    return landmarks, memory, smoothed
 
 
 def _at_once(landmarks: Mapping[int, Known], memory: Memory) -> set[tuple[int, int]]:

@@ -1,12 +1,12 @@
 """The smoother's normal equations: everything measured, linearised at an estimate.
 
 The poses of the keyframes form a chain, whose normal equations are a band; everything else (the last pose, systematic
-errors, north, bends, landmarks, arms) is the border of the band.
+errors, north, bends, landmarks, arms, lines of walls) is the border of the band.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 
 from .. import se2
 from .compass import JITTER, bend_covariance
+from .walllines import WallPoints, no_walls
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -22,6 +23,8 @@ Indices = NDArray[np.intp]
 SYSTEMATIC, NORTH, FIRST_NODE = slice(3, 7), 7, 8
 #: Squared residual in sigmas beyond which the reading of an arm loses weight.
 _ARM_GATE = 10.8
+#: The same of a point of a wall.
+WALL_GATE = 9.0
 _START_SIGMA = 1e-5
 _NORTH_INFORMATION = 1e-6
 
@@ -33,7 +36,7 @@ class Drive:
     ``motions`` (K - 1, 3) were integrated with systematic errors ``at`` (K - 1, 4), derivatives ``by`` (K - 1, 3, 4),
     root of the information ``whiten`` (K - 1, 3, 3). Sightings: ``seen_from``, ``seen`` (m,), ``points`` (m, 2),
     ``point_whiten`` (m, 2, 2). Arms: ``arm_from``, ``arm``, ``arm_bearing`` (a,). Stations: ``station``, ``node``,
-    ``heading``, ``heading_sigma`` (s,). ``systematic_sigma`` (4,).
+    ``heading``, ``heading_sigma`` (s,). ``systematic_sigma`` (4,). ``walls``: points of walls that lie on lines.
     """
 
     motions: Array
@@ -57,11 +60,15 @@ class Drive:
     bend_length: float
     landmark_count: int
     arm_count: int
+    walls: WallPoints = field(default_factory=no_walls)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Estimate:
-    """Where everything is: ``poses`` (K, 3), ``systematic`` (4,), ``north``, ``bends``, ``landmarks``, ``arms``."""
+    """Where everything is: ``poses`` (K, 3), ``systematic`` (4,), ``north``, ``bends``, ``landmarks``, ``arms``.
+
+    ``lines`` (w, 2): of walls, as `WallPoints` has them.
+    """
 
     poses: Array
     systematic: Array
@@ -69,6 +76,7 @@ class Estimate:
     bends: Array
     landmarks: Array
     arms: Array
+    lines: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -112,7 +120,8 @@ class _Assembly:
         self.nodes = slice(FIRST_NODE, FIRST_NODE + n)
         self.landmark_at = FIRST_NODE + n
         self.arm_at = self.landmark_at + 2 * self.m
-        self.size = self.arm_at + drive.arm_count
+        self.line_at = self.arm_at + drive.arm_count
+        self.size = self.line_at + 2 * len(e.lines)
         self.diagonal, self.off = np.zeros((self.K, 3, 3)), np.zeros((max(0, self.K - 1), 3, 3))
         self.border = np.zeros((self.size, self.size))
         self.g_poses, self.g_border = np.zeros((self.K, 3)), np.zeros(self.size)
@@ -222,6 +231,24 @@ class _Assembly:
             np.add.at(self.g_border, a, -r * w)
             self.couple(drive.station, a, _turning(-w))
 
+    def walls(self) -> None:
+        """Points of walls, each on its line."""
+        walls = self.drive.walls
+        if not len(walls):
+            return
+        r, by_pose, by_line = walls.residuals(self.e.poses, self.e.lines)
+        weights, losses = _robust(r * r, WALL_GATE if np.isfinite(self.gate) else np.inf)
+        self.error += float(np.sum(losses)) / 2
+        weighted = by_pose * weights[:, None]
+        np.add.at(self.diagonal, walls.keyframe, weighted[:, :, None] * by_pose[:, None, :])
+        np.add.at(self.g_poses, walls.keyframe, weighted * r[:, None])
+        at = self.line_at + 2 * walls.line
+        for i in range(2):
+            for j in range(2):
+                np.add.at(self.border, (at + i, at + j), weights * by_line[:, i] * by_line[:, j])
+            np.add.at(self.g_border, at + i, weights * by_line[:, i] * r)
+        self.couple(walls.keyframe, at, weighted[:, :, None] * by_line[:, None, :])
+
     def system(self, weights: Array, squared: Array, information: Array) -> System:
         """All terms together; the last pose belongs to the border."""
         K, size = self.K, self.size
@@ -256,6 +283,7 @@ def linearise(drive: Drive, e: Estimate, gate: float, nodes: Array | None = None
     weights, squared = assembly.sightings()
     assembly.arms()
     assembly.stations()
+    assembly.walls()
     return assembly.system(weights, squared, information)
 
 

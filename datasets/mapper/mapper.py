@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import cos, hypot, isfinite, sin
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from .saved import Counters, State
 from .smooth import Smoothed, drive_of, smooth
 from .state import joint_state
 from .walls import BEAMS, scan_hits, wall_pieces
+from .walltracks import Walls
 
 Array = NDArray[np.float64]
 
@@ -76,7 +78,8 @@ class Mapper:
             stop=self.config.path_step,
         )
         self._version = 0
-        self._cache: tuple[int, finish.Finished] | None = None
+        self._cache: dict[bool, tuple[int, finish.Finished]] = {}
+        self._asked = False
 
     def _systematic_sigma(self) -> Array:
         s = self.sensors
@@ -113,8 +116,8 @@ class Mapper:
 
     @property
     def sources(self) -> Mapping[str, tuple[int, ...]]:
-        """Of each landmark of the map its detections, as their numbers in the log, from 0."""
-        return self._finished().sources
+        """Of each landmark of the map that was asked for last its detections, as their numbers in the log, from 0."""
+        return self._finished(self._asked).sources
 
     @property
     def length(self) -> float:
@@ -124,16 +127,21 @@ class Mapper:
     def map(self, *, joint: bool = False, keyframes: bool = False) -> LandmarkMap:
         """The map so far, computed from all that is remembered; with its ``joint_covariance`` if asked.
 
-        ``keyframes``: that covariance holds poses of the way too, and the walls seen from each (`Keyframes`).
+        ``keyframes``: walls that scans saw from several keyframes hold the map straight, and that covariance holds
+        poses of the way too, and the walls seen from each (`Keyframes`). The mapper then wants to be made with
+        `WITH_KEYFRAMES`.
 
         Asking changes nothing of what comes later.
         """
-        return self._finished().map(joint or keyframes, keyframes)
+        self._asked = keyframes
+        return self._finished(keyframes).map(joint or keyframes, keyframes)
 
-    def _finished(self) -> finish.Finished:
-        if self._cache is None or self._cache[0] != self._version:
-            self._cache = (self._version, finish.finish(self))
-        return self._cache[1]
+    def _finished(self, walls: bool = False) -> finish.Finished:
+        version, finished = self._cache.get(walls, (-1, None))
+        if finished is None or version != self._version:
+            finished = finish.finish(self, walls)
+            self._cache[walls] = self._version, finished
+        return finished
 
     @property
     def landmarks(self) -> Mapping[int, Known]:
@@ -190,8 +198,7 @@ class Mapper:
 
     def _waypoint(self) -> None:
         """The robot has come a step further: remember the place, and read the compass where that is due."""
-        stretch = self.config.scan_stretch if self.state.memory.pieces else self.config.stretch
-        if self._station_due() or self.state.reckoning.length >= min(stretch, self.config.stretch):
+        if self._station_due() or self.state.reckoning.length >= self.config.stretch:
             self._keyframe()
             if self._station_due():
                 self._station()
@@ -508,12 +515,16 @@ class Mapper:
             np.array([x[l.turn] + arm.off for l in known if l.turn is not None for arm in l.arms], dtype=float),
         )
 
-    def smoothed(self, landmarks: Mapping[int, Known], memory: Memory) -> Smoothed:
-        """All that is remembered, solved at once."""
+    def smoothed(self, landmarks: Mapping[int, Known], memory: Memory, walls: Walls | None = None) -> Smoothed:
+        """All that is remembered, solved at once, with ``walls`` if they are given."""
         s = self.sensors
         bend = (max(s.compass_bend_sigma, 1e-6), s.compass_bend_length)
         drive = drive_of(memory, list(landmarks.values()), self._systematic_sigma(), s.arm_sigma, bend)
-        return smooth(drive, self.start_estimate(landmarks, memory), self.config.robust_gate)
+        start = self.start_estimate(landmarks, memory)
+        if walls is not None:
+            drive = replace(drive, walls=walls.points)
+            start = replace(start, poses=walls.poses, lines=walls.lines)
+        return smooth(drive, start, self.config.robust_gate)
 
     def _adopt(self, smoothed: Smoothed) -> float:
         """The filter goes on from a smoothed estimate; how far the robot moved by that [m]."""
@@ -540,7 +551,9 @@ class Mapper:
         r = self.state.reckoning
         if self.length - self.state.way_of_scan < _SCAN_STEP and abs(r.theta - self.state.turn_of_scan) < _SCAN_TURN:
             return
-        if abs(r.theta) > self.config.scan_turn:
+        dense = abs(event.step) <= BEAMS
+        often = dense and self.config.scan_stretch < self.config.stretch
+        if abs(r.theta) > self.config.scan_turn or (often and r.length >= self.config.scan_stretch):
             self._keyframe()
             r = self.state.reckoning
         self.state.way_of_scan, self.state.turn_of_scan = self.length, r.theta
@@ -548,10 +561,12 @@ class Mapper:
         memory, here = self.state.memory, (r.x, r.y, r.theta)
         memory.scans += 1
         self._version += 1
-        if abs(event.step) > BEAMS:
-            memory.hits += [Hit(keyframe, memory.scans, *hit) for hit in scan_hits(event, here)]
+        if dense:
+            at_it = here == (0.0, 0.0, 0.0)
+            found = wall_pieces(event, here, self.sensors, self.config)
+            memory.pieces += [Piece(keyframe, *piece, at_it) for piece in found]
         else:
-            memory.pieces += [Piece(keyframe, *piece) for piece in wall_pieces(event, here, self.sensors, self.config)]
+            memory.hits += [Hit(keyframe, memory.scans, *hit) for hit in scan_hits(event, here)]
 
     # Files
 

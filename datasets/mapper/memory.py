@@ -104,7 +104,10 @@ class Waypoint(msgspec.Struct, frozen=True):
 
 
 class Piece(msgspec.Struct, frozen=True):
-    """A straight piece of wall, from a scan: its ends seen from a keyframe [m], and how many readings lie on it."""
+    """A straight piece of wall, from a scan: its ends seen from a keyframe [m], and how many readings lie on it.
+
+    ``here``: whether the robot stood where the keyframe is.
+    """
 
     keyframe: int
     x1: float
@@ -112,6 +115,7 @@ class Piece(msgspec.Struct, frozen=True):
     x2: float
     y2: float
     readings: int
+    here: bool = False
 
 
 class Hit(msgspec.Struct, frozen=True):

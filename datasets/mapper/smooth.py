@@ -44,6 +44,11 @@ class Smoothed:
         """Row of the covariance at which the landmarks begin: x, y of each, then the arms' directions."""
         return FIRST_NODE + len(self.estimate.bends)
 
+    @property
+    def line_rows(self) -> int:
+        """Row at which the lines of walls begin: direction and offset of each."""
+        return len(self.covariance) - 2 * len(self.estimate.lines)
+
     def keyframe_covariance(self, which: Array) -> tuple[Array, Array]:
         """Joint covariance (3k, 3k) of some keyframes' poses, and theirs with the border (3k, size)."""
         return self._eliminated.poses(which, self.covariance)
@@ -127,6 +132,8 @@ def _descend(drive: Drive, start: Estimate, gate: float, until: float, iteration
         if damping == 0 and decrement < until:
             return estimate, True
         tried = _moved(estimate, step_poses, step_border)
+        if not np.isfinite(gate) and len(drive.walls):
+            tried = replace(tried, lines=drive.walls.through(tried.poses, tried.lines))
         new = linearise(drive, tried, gate, nodes=system.node_information)
         if new.error <= system.error * (1 + 1e-12) + 1e-9:
             estimate, damping = tried, damping / 10 if damping > _LEAST_DAMPING else 0.0
@@ -143,6 +150,7 @@ def _moved(e: Estimate, poses: Array, border: Array) -> Estimate:
     n, m = len(e.bends), len(e.landmarks)
     all_poses = e.poses + np.concatenate([poses, border[:3]]).reshape(-1, 3)
     at = FIRST_NODE + n
+    arms_end = at + 2 * m + len(e.arms)
     return replace(
         e,
         poses=all_poses,
@@ -150,7 +158,8 @@ def _moved(e: Estimate, poses: Array, border: Array) -> Estimate:
         north=e.north + float(border[NORTH]),
         bends=e.bends + border[FIRST_NODE:at],
         landmarks=e.landmarks + border[at : at + 2 * m].reshape(-1, 2),
-        arms=e.arms + border[at + 2 * m :],
+        arms=e.arms + border[at + 2 * m : arms_end],
+        lines=e.lines + border[arms_end:].reshape(-1, 2),
     )
 
 

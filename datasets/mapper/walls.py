@@ -106,7 +106,7 @@ def scan_hits(scan: Scan, pose: tuple[float, float, float]) -> list[tuple[int, f
     ]
 
 
-def _drawn_by_beams(hits: Sequence[Hit], poses: Array, config: MapperConfig) -> tuple[Array, Array]:
+def drawn_by_beams(hits: Sequence[Hit], poses: Array, config: MapperConfig) -> tuple[Array, Array]:
     """Straight pieces (n, 2, 2) [m] that single beams drew while the robot moved, and the readings (n,) of each."""
     segments: list[Array] = []
     readings: list[float] = []
@@ -126,7 +126,7 @@ def _drawn_by_beams(hits: Sequence[Hit], poses: Array, config: MapperConfig) -> 
 
 def walls_of(pieces: Sequence[Piece], hits: Sequence[Hit], poses: Array, config: MapperConfig) -> tuple[Array, ...]:
     """Polylines (k, 2) [m] in the map's frame from what was seen from keyframes at ``poses`` (K, 3)."""
-    found, counts = _drawn_by_beams(hits, poses, config)
+    found, counts = drawn_by_beams(hits, poses, config)
     if pieces:
         base = poses[[p.keyframe for p in pieces]]
         a = se2.transform(base, np.array([(p.x1, p.y1) for p in pieces]))

@@ -87,6 +87,11 @@ def map_file(
 
     tell = teller(quiet=quiet)
     mapper = Mapper(recorded.header, WITH_KEYFRAMES if walls else None) if resume is None else Mapper.load(resume)
+    if walls and mapper.config.scan_stretch > WITH_KEYFRAMES.scan_stretch:
+        raise UsageError(
+            f"--walls: {resume} was saved by a mapper without --walls, whose keyframes are too far apart to say what "
+            "was seen from each; map the log from its beginning with --walls"
+        )
     for event in watched(names.log.events, f"mapping {recorded.header.name}", quiet=quiet):
         mapper.update(event)
     with stages(f"solving {recorded.header.name}", quiet=quiet):
@@ -105,6 +110,8 @@ def map_file(
         mapper.save(save_state)
     if plot is not None:
         _draw(recorded, made, known, plot)
+    if walls and not _walls_known(made):
+        note("mapfuse: --walls: no walls were seen, so the map is as one without --walls")
     for line in () if quiet else _remarks(mapper, made, named=name_points):
         note(f"mapfuse: {line}")
     for path in (output, truth_output, plot, save_state):
@@ -185,6 +192,11 @@ def accuracy(map_: LandmarkMap, truth: Truth) -> str:
     if not len(apart):
         return there
     return f"{there}, {np.median(apart):.2f} m (median) and {apart.max():.2f} m (largest) from their true places"
+
+
+def _walls_known(made: LandmarkMap) -> bool:
+    joint = made.joint_covariance
+    return joint is not None and joint.keyframes is not None
 
 
 def _remarks(mapper: Mapper, made: LandmarkMap, *, named: bool) -> list[str]:

@@ -17,7 +17,7 @@ import pytest
 
 from mapfuse.datasets import read_map
 from mapfuse.datasets.logfile import write_log
-from mapfuse.datasets.logs import Detection, Event, Log, LogHeader, LogTruth, Odometry, Sensors
+from mapfuse.datasets.logs import Detection, Event, Log, LogHeader, LogTruth, Odometry, Scan, Sensors
 from mapfuse.datasets.logtruth import read_log_truth, write_log_truth
 from mapfuse.datasets.truth import read_truth
 
@@ -150,6 +150,58 @@ def test_points_are_named_from_the_whole_log(
     assert "3 of 3 landmarks are there" in capsys.readouterr().out
     assert {landmark.id for landmark in read_map(out).landmarks} == {"tree.1", "tree.2", "tree.3"}
     assert sorted(read_truth(tmp_path / "out.truth.json").landmarks["drive"].values()) == sorted(TREES)
+
+
+def along_a_corridor(first: int, last: int) -> list[Event]:
+    """A drive of 0.1 m steps down the middle of a corridor two metres wide, scans of many beams, a tree at its end."""
+    found: list[Event] = []
+    bearings = np.linspace(-np.pi / 2, np.pi / 2, 37)
+    for k in range(first, last):
+        found.append(Odometry(k / 10, k / 10, 0.0, 0.0))
+        if k % 5 == 0:
+            ranges = 1.0 / np.maximum(np.abs(np.sin(bearings)), 1e-9)
+            seen = tuple(float(r) if r < 6 else None for r in ranges)
+            found.append(Scan(k / 10, float(bearings[0]), float(bearings[1] - bearings[0]), seen))
+        if k in (20, 60):
+            found.append(Detection(k / 10, "tree", 8.0 - k / 10, 0.0))
+    return found
+
+
+def test_a_drive_in_two_parts_with_walls_gives_the_map_of_the_whole(command: Command, tmp_path: Path) -> None:
+    header = LogHeader("drive", "milka", sensors=SENSORS)
+    for name, span in (("log", (0, 80)), ("first", (0, 40)), ("second", (40, 80))):
+        write_log(Log(header, along_a_corridor(*span)), tmp_path / f"{name}.log.jsonl")
+    state, whole, parts = tmp_path / "state.json", tmp_path / "whole.map.json", tmp_path / "parts.map.json"
+    assert command("map", tmp_path / "log.log.jsonl", "-o", whole, "--walls") == 0
+    assert command("map", tmp_path / "first.log.jsonl", "-o", parts, "--walls", "--save-state", state) == 0
+    assert command("map", tmp_path / "second.log.jsonl", "-o", parts, "--walls", "--resume", state) == 0
+    assert parts.read_bytes() == whole.read_bytes()
+    joint = read_map(whole).joint_covariance
+    assert joint is not None
+    assert joint.keyframes is not None
+    assert len(joint.keyframes.walls) >= 4
+
+
+def test_walls_are_refused_of_a_state_that_was_saved_without_them(
+    command: Command, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header = LogHeader("drive", "milka", sensors=SENSORS)
+    for name, span in (("first", (0, 40)), ("second", (40, 80))):
+        write_log(Log(header, along_a_corridor(*span)), tmp_path / f"{name}.log.jsonl")
+    state, out, more = tmp_path / "state.json", tmp_path / "out.map.json", tmp_path / "more.map.json"
+    assert command("map", tmp_path / "first.log.jsonl", "-o", out, "--save-state", state) == 0
+    assert command("map", tmp_path / "second.log.jsonl", "-o", more, "--walls", "--resume", state) == 2
+    said = capsys.readouterr().err
+    assert "saved by a mapper without --walls" in said
+    assert "Traceback" not in said
+    assert not more.exists()
+
+
+def test_a_drive_without_scans_is_told_to_have_no_walls(
+    command: Command, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command("map", log, "-o", tmp_path / "out.map.json", "--walls") == 0
+    assert "no walls were seen" in capsys.readouterr().err
 
 
 def test_a_log_may_come_through_a_pipe_but_not_for_a_picture(log: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from mapfuse.fusion import fuse, read_fused
 from mapfuse.fusion.batch.packing import config_bytes, config_from_bytes
 from mapfuse.fusion.cli import main
 from mapfuse.fusion.config import FuseConfig, SolvingConfig, WallsConfig
+from mapfuse.fusion.pair import NEGLIGIBLE
 from mapfuse.fusion.solve import solve
 from mapfuse.fusion.wallfit import evidence_of_walls, with_walls
 
@@ -45,11 +46,19 @@ def ring(alcove: bool) -> list[np.ndarray]:
     return found
 
 
-def pair(seed: int, alcove: bool = False) -> tuple[LandmarkMap, LandmarkMap, np.ndarray]:
-    """Two robots that drive round in opposite directions from two corners, and their T12."""
+def pair(seed: int, alcove: bool = False, *, anywhere: bool = False) -> tuple[LandmarkMap, LandmarkMap, np.ndarray]:
+    """Two robots that drive round in opposite directions from two corners, and their T12.
+
+    ``anywhere``: landmarks elsewhere for each seed.
+    """
     rng = np.random.default_rng(seed)
+    marks = MARKS
+    if anywhere:
+        half = np.column_stack([np.linspace(-18, 18, 8), -9 + rng.uniform(-0.7, 0.7, 8)])
+        half = np.concatenate([half, [[18.0, rng.uniform(-5, 5)]]])
+        marks = np.concatenate([half, -half])
     ways = driven(CORNERS, 0), driven(CORNERS, 1, back=True)
-    first, second = (drifted(name, ring(alcove), way, MARKS, rng) for name, way in zip("AB", ways, strict=True))
+    first, second = (drifted(name, ring(alcove), way, marks, rng) for name, way in zip("AB", ways, strict=True))
     return first, second, np.asarray(se2.between(ways[0][0], ways[1][0]))
 
 
@@ -113,6 +122,17 @@ def test_one_alcove_decides_a_symmetric_floor_and_only_with_walls(seed: int) -> 
     best = found.pairs[0].hypotheses[0]
     assert abs(float(se2.wrap(best.T12.theta - T12[2]))) < 0.2
     assert found.pairs[0].hypotheses[1].evidence["walls"] < -4.0
+
+
+def test_walls_are_asked_of_every_rival_that_counts() -> None:
+    """Landmarks in even rows lie on each other in dozens of ways: what walls take from some must not go to the rest."""
+    first, second, T12 = pair(1_950_010, alcove=True, anywhere=True)
+    found = fuse([first, second], FuseConfig(walls=WALLS))
+    hypotheses = found.pairs[0].hypotheses
+    assert found.decision == "merged"
+    assert abs(float(se2.wrap(hypotheses[0].T12.theta - T12[2]))) < 0.2
+    assert len(hypotheses) > 20
+    assert all(h.evidence["walls"] < 0 for h in hypotheses[1:] if h.probability >= NEGLIGIBLE)
 
 
 def test_without_the_alcove_walls_do_not_decide_either() -> None:
