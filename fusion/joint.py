@@ -13,9 +13,10 @@ from mapfuse.datasets import se2
 from mapfuse.factors import LandmarkKey, Problem, build_problem
 from mapfuse.factors.noise import DOUBT, Loss
 
-from .config import SolvingConfig
+from .config import SolvingConfig, WallsConfig
 from .prepared import PreparedMap
 from .solve import Solution, solve
+from .wallfit import with_walls
 
 Array = NDArray[np.float64]
 #: The landmarks that are one place, as (map, place in its landmarks).
@@ -27,21 +28,43 @@ MAX_REGROUPINGS = 10
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """The solved graph of a group, in the frame of map ``reference``; ``shared``: places that several maps have."""
+    """The solved graph of a group, in the frame of map ``reference``; ``shared``: places that several maps have.
+
+    ``walled``: the pairs of maps whose walls are in it, and how; None where walls aren't used.
+    """
 
     maps: tuple[PreparedMap, ...]
     solution: Solution
     shared: tuple[Members, ...]
     reference: int
+    walled: Walled | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Walled:
+    """Walls in a group's graph: the pairs of maps ``between`` which they are laid on each other."""
+
+    between: tuple[tuple[int, int], ...]
+    config: WallsConfig
+
+    def added(self, solution: Solution) -> Solution:
+        """The solution with walls in it; the same where they say nothing."""
+        fit = with_walls(solution, self.config, self.between)
+        return solution if fit is None else fit.solution
 
 
 def solve_group(
-    maps: Sequence[PreparedMap], frames: Sequence[Array], shared: Sequence[Members], config: SolvingConfig
+    maps: Sequence[PreparedMap],
+    frames: Sequence[Array],
+    shared: Sequence[Members],
+    config: SolvingConfig,
+    walled: Walled | None = None,
 ) -> Joint:
     """Solve all maps of a group at once, in the frame of the first.
 
     ``frames``: pose (3,) of each map to start from; ``shared``: which landmarks are the same, each map's at most once
-    in a place. A landmark that the gate takes out is a place of its own afterwards.
+    in a place. A landmark that the gate takes out is a place of its own afterwards. ``walled``: whose walls come in
+    then.
     """
     maps, shared = tuple(maps), tuple(shared)
     poses = [np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in maps]
@@ -56,7 +79,7 @@ def solve_group(
             break
         frames, poses = _solved(maps, solution)
         solution = solve(_problem(maps, frames, shared, poses, None), config)
-    return Joint(maps, solution, shared, 0)
+    return Joint(maps, solution if walled is None else walled.added(solution), shared, 0, walled)
 
 
 def referred_to(joint: Joint, reference: int, config: SolvingConfig) -> Joint:
@@ -66,7 +89,8 @@ def referred_to(joint: Joint, reference: int, config: SolvingConfig) -> Joint:
     frames, poses = _solved(joint.maps, joint.solution)
     frames = [np.asarray(se2.between(frames[reference], T)) for T in frames]
     solution = solve(_problem(joint.maps, frames, joint.shared, poses, None, reference), config)
-    return Joint(joint.maps, solution, joint.shared, reference)
+    walled = joint.walled
+    return Joint(joint.maps, solution if walled is None else walled.added(solution), joint.shared, reference, walled)
 
 
 def _problem(

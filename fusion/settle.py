@@ -8,7 +8,7 @@ import numpy as np
 
 from .config import FuseConfig
 from .consistent import Choice, choose
-from .joint import Joint, Members, solve_group
+from .joint import Joint, Members, Walled, solve_group
 from .pairwise import Comparison
 from .placing import Against, Landmark, Pair, places_of
 from .prepared import PreparedMap
@@ -48,11 +48,14 @@ def joint_of(
     """The joint graph of a group, as it was chosen."""
     maps = tuple(prepared[name] for name in names)
     shared = _shared(names, {p: k for p, k in choice.chosen.items() if p[0] in names}, comparisons)
+    rank = {name: r for r, name in enumerate(names)}
+    between = tuple((rank[a], rank[b]) for a, b in sorted(choice.chosen) if a in rank and b in rank)
+    walled = Walled(between, config.walls) if config.walls.use else None
     only = comparisons.get(names) if len(names) == 2 else None
     if only is not None and only.solution is not None and choice.chosen[only.maps] == 0:
-        return Joint(maps, only.solution, shared, 0)
+        return Joint(maps, only.solution, shared, 0, walled)
     frames = [choice.frames[name].array for name in names]
-    return solve_group(maps, frames, shared, config.solving)
+    return solve_group(maps, frames, shared, config.solving, walled)
 
 
 def _shared(

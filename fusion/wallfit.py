@@ -1,4 +1,4 @@
-"""Walls in the graph: two maps' walls laid on each other piece by piece, as both maps are bent.
+"""Walls in the graph: maps' walls laid on each other piece by piece, two maps at a time, as both are bent.
 
 Rounds of ICP, point to line: walls are placed where the solved graph has them, those that face each other are found,
 their noise is estimated, and the graph is solved with their offsets as one measurement (`mapfuse.factors.walls`).
@@ -6,7 +6,7 @@ their noise is estimated, and the graph is solved with their offsets as one meas
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,41 +42,56 @@ SIGMAS = np.geomspace(0.03, 0.3, 25)
 LEAST, ROUNDS = 12, 6
 #: What lies further off than the gate, and than this share of the worst, is taken out first.
 WORST = 0.7
-#: Rounds end where T12 moves by less than this [m, rad].
+#: Rounds end where no map moves by more than this [m, rad].
 STILL = 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WallFit:
-    """A solution with walls in it: ``count`` offsets between walls, each with a standard deviation ``sigma`` [m]."""
+    """A solution with walls in it: ``count`` offsets between walls, each with a standard deviation ``sigma`` [m]; of
+    several pairs of maps the largest."""
 
     solution: Solution
     count: int
     sigma: float
 
 
-def with_walls(solution: Solution, config: WallsConfig | None = None) -> WallFit | None:
-    """The graph of two maps solved again with their walls in it; None where these say nothing."""
+def with_walls(
+    solution: Solution, config: WallsConfig | None = None, between: Sequence[tuple[int, int]] = ((0, 1),)
+) -> WallFit | None:
+    """The graph of a group solved again with its maps' walls in it; None where these say nothing.
+
+    ``between``: the pairs of maps whose walls are laid on each other. A wall that n maps have is measured by up to
+    n (n - 1) / 2 offsets, which know n walls' errors only: each counts 2 / n, as differences of landmarks do.
+    """
     config = config or WallsConfig()
-    map1, map2 = solution.problem.maps
-    side1, side2 = hanging(map1, 0), hanging(map2, 1)
-    if side1 is None or side2 is None:
-        return None
-    pieces1, pieces2 = pieces_of(keyframes_of(map1)), pieces_of(keyframes_of(map2))
-    prior = _Prior(solution, side1, side2)
+    maps = solution.problem.maps
+    sides = {
+        r: side for r in sorted({r for pair in between for r in pair}) if (side := hanging(maps[r], r)) is not None
+    }
+    facing = [(r, s) for r, s in between if r in sides and s in sides]
+    pieces = {r: pieces_of(keyframes_of(maps[r])) for r in sides}
+    priors = {(r, s): _Prior(solution, sides[r], sides[s]) for r, s in facing}
+    share = 2 / max(len({r for pair in facing for r in pair}), 2)
     now, fit = solution, None
     for _ in range(ROUNDS):
-        found = _placed(now, side1, side2, pieces1, pieces2, config.gate_m)
-        measured = prior.measurement(found, now.poses, config)
-        if measured is None:
+        found = []
+        for r, s in facing:
+            placed = _placed(now, sides[r], sides[s], pieces[r], pieces[s], config.gate_m)
+            measured = priors[r, s].measurement(placed, now.poses, config)
+            if measured is not None:
+                measurement, sigma = measured
+                W = np.sqrt(share) * measurement.sqrt_information
+                found.append((replace(measurement, sqrt_information=W), sigma))
+        if not found:
             return fit
-        measurement, sigma = measured
         before = now
         bare = solution.problem.starting_at(now.poses)
-        now = optimum(bare.with_measurements((*bare.measurements, measurement)), solution.rejected)
-        fit = WallFit(now, len(measurement.facing), sigma)
-        moved = now.frame(1) - before.frame(1)
-        if max(np.abs(moved[:2]).max(), abs(float(se2.wrap(moved[2])))) < STILL:
+        now = optimum(bare.with_measurements((*bare.measurements, *(m for m, _ in found))), solution.rejected)
+        fit = WallFit(now, sum(len(m.facing) for m, _ in found), max(sigma for _, sigma in found))
+        moved = np.array([now.frame(r) - before.frame(r) for r in range(len(maps))])
+        moved[:, 2] = se2.wrap(moved[:, 2])
+        if np.abs(moved).max() < STILL:
             break
     return fit
 

@@ -5,6 +5,7 @@ Maps are drawn from the joint covariance that they state (`drifted`): simulated,
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.stats import chi2
 from mapfuse.datasets import se2, write_map
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.simulation.drifted import drifted, driven
-from mapfuse.factors import FrameKey, pair_problem
+from mapfuse.factors import FrameKey, LandmarkKey, build_problem, pair_problem
 from mapfuse.fusion import fuse, read_fused
 from mapfuse.fusion.batch.packing import config_bytes, config_from_bytes
 from mapfuse.fusion.cli import main
@@ -82,6 +83,45 @@ def test_walls_lessen_the_error_of_T12_and_its_covariance_holds() -> None:
     assert rms[1, 2] < 0.8 * rms[0, 2]
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
+
+
+def test_walls_of_three_maps_lessen_the_errors_of_their_frames_and_covariances_hold() -> None:
+    """Each wall is in three offsets, which know three walls' errors: counted as three, NEES would leave the band."""
+    errors, nees = [], []
+    for seed in range(2_150_000, 2_150_016):
+        rng = np.random.default_rng(seed)
+        ways = driven(CORNERS, 0), driven(CORNERS, 1, back=True), driven(CORNERS, 2)
+        maps = [drifted(name, ring(True), way, MARKS, rng) for name, way in zip("ABC", ways, strict=True)]
+        frames = [np.asarray(se2.between(ways[0][0], way[0])) for way in ways]
+        same = [[LandmarkKey(r, name) for r in range(3)] for name in maps[0].ids]
+        matches = [match for place in same for match in combinations(place, 2)]
+        without = solve(build_problem(maps, frames, matches), SolvingConfig())
+        fit = with_walls(without, WALLS, ((0, 1), (0, 2), (1, 2)))
+        assert fit is not None
+        found = []
+        for solution in (without, fit.solution):
+            off = np.array([solution.frame(r) - frames[r] for r in (1, 2)])
+            off[:, 2] = se2.wrap(off[:, 2])
+            found.append(off)
+        errors.append(found)
+        C = fit.solution.joint_covariance([FrameKey(1), FrameKey(2)])
+        nees.append(found[1].ravel() @ np.linalg.solve(C, found[1].ravel()))
+    rms = np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
+    assert np.hypot(*rms[1, :2]) < 0.8 * np.hypot(*rms[0, :2])
+    assert rms[1, 2] < 0.8 * rms[0, 2]
+    low, high = chi2.ppf([0.005, 0.995], 6 * len(nees)) / len(nees)
+    assert low < np.mean(nees) < high
+
+
+def test_walls_are_in_the_result_whichever_map_comes_first() -> None:
+    first, second, T12 = pair(2_160_000, alcove=True)
+    config = FuseConfig(walls=WALLS)
+    one, other = (fuse(maps, config) for maps in ([first, second], [second, first]))
+    assert one.decision == other.decision == "merged"
+    there, back = one.frames["B"].T, other.frames["A"].T.inverse()
+    assert np.asarray(se2.between(there.array, back.array)) == pytest.approx(np.zeros(3), abs=1e-3)
+    assert np.sqrt(np.diag(back.covariance)) == pytest.approx(np.sqrt(np.diag(there.covariance)), rel=0.02)
+    assert np.asarray(se2.between(T12, there.array)) == pytest.approx(np.zeros(3), abs=0.5)
 
 
 def test_walls_that_are_not_where_they_were_seen_are_gated() -> None:
