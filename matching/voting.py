@@ -268,8 +268,8 @@ class Pair:
             limit = int(np.clip(settings.refined * settings.full / cost, settings.last, settings.refined))
             sampled = scene.assess(candidates, (loose, loose / 3, 0.0), part)
             candidates = self._best(sampled, limit, settings.last, settings.sample)
-            # aligned by some hundred landmarks a candidate of a large map is known well enough
-            found = scene.assess(candidates, (0.0,) if cost > 2 * settings.full else (0.0, 0.0))
+            # aligned by some hundred landmarks a candidate of a very large map is known well enough
+            found = scene.assess(candidates, (0.0,) if cost > settings.sorted else (0.0, 0.0))
         else:
             found = scene.assess(candidates, (loose, loose / 3, 0.0))
         score = found.score + self._compass(found.candidates.T12s[:, 2])
