@@ -24,6 +24,8 @@ from .measurement import Array
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 #: Landmarks nearer to each other than this [m, root mean square from their middle] show no turn.
 _SPREAD = 1e-6
+#: Rounds of looking for what was recorded, at most, and what [m, rad] is near enough.
+_INVERTING, _INVERTED = 200, 1e-12
 
 
 def pivot(positions: ArrayLike, covariance: ArrayLike) -> Array:
@@ -99,6 +101,22 @@ def placed(recorded: Array, about: Array, off: Array, f: float) -> Array:
     seen = recorded + off
     seen[:, :2] = about + (away + off[:, :2] - f * away @ QUARTER.T) @ se2.rotation(-f)
     return seen
+
+
+def recorded_for(seen: Array, about: Array, off: Array) -> Array:
+    """What has to be recorded (n, 3) of landmarks ``seen`` (n, 3), so that their `errors` are ``off`` (n, 3).
+
+    >>> seen, off = np.array([[10.0, 0.0, 0.0], [10.0, 5.0, 1.0]]), np.array([[0.0, 1.0, 0.1], [-0.5, 0.8, 0.2]])
+    >>> bool(np.allclose(errors(recorded_for(seen, np.zeros(2), off), np.zeros(2), seen), off))
+    True
+    """
+    recorded = seen - off
+    for _ in range(_INVERTING):
+        wrong = errors(recorded, about, seen) - off
+        recorded = recorded + wrong
+        if np.abs(wrong).max(initial=0.0) < _INVERTED:
+            break
+    return recorded
 
 
 def derivatives(recorded: Array, about: Array, seen: Array) -> tuple[Array, Array, Array]:

@@ -27,6 +27,7 @@ from mapfuse.factors import (
 )
 from mapfuse.factors.measurement import Poses
 from mapfuse.factors.noise import LOOSE_ROTATION
+from mapfuse.factors.turning import recorded_for
 
 from ..solve import Solution, optimum
 
@@ -151,8 +152,10 @@ def _read_at(measurement: Measurement, poses: Poses, e: Array) -> Measurement:
         length = float(np.linalg.norm(poses[measurement.b][:2] - poses[measurement.a][:2]))
         return replace(measurement, distance=max(0.0, length + measurement.sigma * float(e[0])))
     if isinstance(measurement, JointMeasurement):
-        seen = se2.between(poses[measurement.frame], np.array([poses[key] for key in measurement.landmarks]))
+        seen = np.asarray(
+            se2.between(poses[measurement.frame], np.array([poses[key] for key in measurement.landmarks]))
+        )
         off = np.zeros(seen.size)
-        off[list(measurement.places)] = np.linalg.solve(measurement.sqrt_information, e)
-        return replace(measurement, recorded=seen + off.reshape(seen.shape))
+        off[list(measurement.places)] = -np.linalg.solve(measurement.sqrt_information, e)
+        return replace(measurement, recorded=recorded_for(seen, measurement.pivot, off.reshape(seen.shape)))
     raise TypeError(f"no noise is known of {type(measurement).__name__}")
