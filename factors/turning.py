@@ -44,8 +44,9 @@ def pivot(positions: ArrayLike, covariance: ArrayLike) -> Array:
     away = at - middle
     if np.sum(away**2) <= len(at) * _SPREAD**2:
         return np.asarray(middle)
-    by_turn = C @ (away @ QUARTER.T).ravel() / np.sum(away**2)
-    variance = float((away @ QUARTER.T).ravel() @ by_turn) / float(np.sum(away**2))
+    gradient = (away @ QUARTER.T).ravel() / np.sum(away**2)
+    by_turn = C @ gradient
+    variance = float(gradient @ by_turn)
     if variance <= 0.0:
         return np.asarray(middle)
     return np.asarray(middle + QUARTER @ by_turn.reshape(-1, 2).mean(axis=0) / variance)

@@ -3,9 +3,8 @@
 A wall hangs on a keyframe of the drive that saw it. Where landmarks lie says where that keyframe lies, up to errors of
 its own, both by the map's joint covariance: with D a map's landmarks less what it recorded of them, in its own frame,
 the keyframe is off by ``G D`` and by an error of covariance Q, ``G = C_kl C_ll^-1``, ``Q = C_kk - G C_lk``. Both are
-errors beside the turn that all have in common (`turning`). Keyframes
-so need no unknowns of their own: walls measure landmarks. All offsets of two maps are one measurement, since they
-share the errors of keyframes and of walls.
+errors beside the turn that all have in common (`turning`). Keyframes so need no unknowns of their own: walls measure
+landmarks. All offsets of two maps are one measurement, since they share the errors of keyframes and of walls.
 """
 
 from __future__ import annotations
