@@ -9,7 +9,9 @@ landmarks jointly, and of the robot's last pose; a chi-square divided by its deg
 
 How well the loop of 80 m closes is measured where its ends lie on each other: at all pairs of places of the way that
 are truly within 2 m of each other with more than 60 m of way between them, by how far the offset between the two is
-wrong in the map's path; the largest of a run counts. ``loop gap`` is stricter, and says more of the map than of the
+wrong in the map's path; the largest of a run counts. A robot that stops as soon as it is back, or misses the
+landmarks there, can't know; so the runs that saw at least two places again after that way are told apart.
+``loop gap`` is stricter, and says more of the map than of the
 loop: the largest difference between the errors of any two landmarks within 10 m, neighbours on one corridor included.
 
 Seeds are `TEST_SEEDS`; ``--tuning`` takes `TUNING_SEEDS` instead.
@@ -31,6 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from mapfuse.datasets import se2
+from mapfuse.datasets.logs import Detection, Event, LogTruth
 from mapfuse.datasets.mapper import Mapper, truth_of_map
 from mapfuse.datasets.simulation import (
     MILKA,
@@ -50,6 +53,8 @@ FAR = 50.0
 BACK, ROUND = 2.0, 60.0
 #: What the loop of 80 m is to close to [m].
 CLOSED = 0.5
+#: From so many places seen again on, a robot can know that it is back.
+TOLD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +70,7 @@ class Score:
     aligned: float
     loop: float
     ends: float
+    again: int
     length: float
     seconds: float
 
@@ -104,6 +110,7 @@ def explored(kind: str, seed: int) -> Score:
         float(np.sqrt(np.mean(np.sum(se2.align(true, made.positions[known]).residuals ** 2, axis=1)))),
         _gap(error, true),
         _ends_apart(np.asarray(made.path), truth.path),
+        _seen_again(simulated.events, truth),
         _length_error(made.positions[known], true),
         seconds,
     )
@@ -132,6 +139,16 @@ def _ends_apart(path: np.ndarray, true_path: np.ndarray) -> float:
     return float(np.hypot(*(error[i] - error[j]).T).max()) if len(i) else float("nan")
 
 
+def _seen_again(events: Sequence[Event], truth: LogTruth) -> int:
+    """How many true places were detected with more than `ROUND` metres of way in between."""
+    steps = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth.path[:, 1:3], axis=0).T))])
+    seen: dict[str, list[float]] = {}
+    for t, place in zip((e.t for e in events if isinstance(e, Detection)), truth.detections, strict=True):
+        if place is not None:
+            seen.setdefault(place, []).append(float(np.interp(t, truth.path[:, 0], steps)))
+    return sum(max(ways) - min(ways) > ROUND for ways in seen.values())
+
+
 def _length_error(found: np.ndarray, true: np.ndarray) -> float:
     """Median error of distances above `FAR` metres between landmarks, as a share; NaN where there are none."""
     pairs = [(i, j) for i, j in combinations(range(len(true)), 2) if np.hypot(*(true[i] - true[j])) > FAR]
@@ -151,7 +168,11 @@ def row(kind: str, scores: Sequence[Score]) -> str:
     """One line of the table."""
     once, detected = sum(s.once for s in scores), sum(s.detected for s in scores)
     ends = np.array([s.ends for s in scores if np.isfinite(s.ends)])
-    closed = f"{quantiles(list(ends))} ({np.sum(ends <= CLOSED)} of {len(ends)} to {CLOSED} m)"
+    told = np.array([s.ends for s in scores if np.isfinite(s.ends) and s.again >= TOLD])
+    closed = (
+        f"{quantiles(list(ends))} ({np.sum(ends <= CLOSED)} of {len(ends)} to {CLOSED} m; where {TOLD} places were "
+        f"seen again {np.sum(told <= CLOSED)} of {len(told)}, the largest {told.max(initial=0.0):.2f})"
+    )
     cells = [
         f"| {kind}",
         f"{len(scores)}",

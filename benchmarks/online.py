@@ -22,8 +22,9 @@ from typing import Any
 
 from online_corridor import symmetric, symmetric_table
 from online_groups import four, four_table, mrclam, mrclam_table
-from online_load import correction, correction_table, latency, latency_picture, latency_table, stream, stream_table
+from online_load import correction, correction_table, latency, latency_picture, latency_table
 from online_pairs import hospital, hospital_table
+from online_stream import stream, stream_table
 
 HERE = Path(__file__).resolve().parent
 #: Seeds that nothing was tuned on.

@@ -1,4 +1,4 @@
-"""What a landmark event, a correction and a long stream cost. Part of ``benchmarks/online.py``."""
+"""What a landmark event and a correction cost. Part of ``benchmarks/online.py``."""
 
 from __future__ import annotations
 
@@ -15,12 +15,9 @@ from matching_floors import pair_of_maps
 from numpy.typing import NDArray
 
 from mapfuse.datasets.datum import JointCovariance
-from mapfuse.datasets.logs import Gyro, Log, Odometry
 from mapfuse.datasets.maps import LandmarkMap
-from mapfuse.datasets.simulation import MILKA, VESPUCCI, build, hospital_like, simulate_logs
 from mapfuse.datasets.values import frozen_array
 from mapfuse.fusion.online import Correction, LandmarkSeen, OnlineConfig, OnlineFuser
-from mapfuse.fusion.online.replay import Replay
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -155,76 +152,6 @@ def latency_picture(rows: Sequence[Row], path: Path) -> None:
     axes.set_title("Two simulated maps, as they grow and as they are told again", fontsize=10)
     figure.savefig(path, dpi=110)
     plt.close(figure)
-
-
-def stream(seed: int, arguments: argparse.Namespace) -> Row:
-    """Robots that drive through a hospital and then stand with their sensors on: events a second and memory."""
-    import resource
-
-    logs = simulate_logs(build(hospital_like()), (VESPUCCI, MILKA), seed, starts=("p9", "p13"), scans=False)
-    wanted = arguments.events or (20_000 if arguments.quick else 80_000)
-    rounds = max(2, round(wanted / sum(len(log.events) for log in logs)))
-    replay = Replay([Log(log.header, Repeated(log.events, rounds)) for log in logs])
-    begin, cpu = time.perf_counter(), time.process_time()
-    memory, spent = [], []
-    length = logs[0].events[-1].t + 1.0
-    count = 0
-    due = length
-    for t, name, event in replay.events():
-        if t >= due:
-            due += length
-            memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-            spent.append(time.process_time() - cpu)
-        replay.t = t
-        replay.step(name, event, t)
-        count += 1
-    replay.finish()
-    memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    spent.append(time.process_time() - cpu)
-    return {
-        "events": count,
-        "log_seconds": replay.t,
-        "wall": time.perf_counter() - begin,
-        "cpu": time.process_time() - cpu,
-        "memory_mb": memory,
-        "spent": spent,
-    }
-
-
-class Repeated:
-    """A drive, and then its odometry and gyro again and again as a robot has them that stands."""
-
-    def __init__(self, events: Sequence[Any], rounds: int) -> None:
-        self.events, self.rounds = events, rounds
-
-    def __iter__(self) -> Iterator[Any]:
-        import msgspec
-
-        length = self.events[-1].t + 1.0
-        last = next(e for e in reversed(self.events) if isinstance(e, Odometry))
-        for k in range(self.rounds):
-            for event in self.events:
-                if k == 0:
-                    yield event
-                elif isinstance(event, Odometry):  # standing still, its sensors going on
-                    yield msgspec.structs.replace(last, t=event.t + k * length)
-                elif isinstance(event, Gyro):
-                    yield msgspec.structs.replace(event, t=event.t + k * length, rate=0.0)
-
-
-def stream_table(rows: Sequence[Row]) -> Iterator[str]:
-    """Events a second."""
-    yield "# A long stream: two simulated robots through the hospital, then standing with their sensors on"
-    yield ""
-    yield "| events | log [s] | a CPU second, in all | while they explore | largest memory in the course of it [MB] |"
-    yield "|---|---|---|---|---|"
-    for row in rows:
-        memory, spent = row["memory_mb"], row["spent"]
-        shown = [memory[k] for k in sorted({*range(0, len(memory), max(1, len(memory) // 8)), len(memory) - 1})]
-        told = ", ".join(f"{m:.0f}" for m in shown)
-        first = row["events"] / len(spent) / spent[0]
-        rate = row["events"] / row["cpu"]
-        yield f"| {row['events']:,} | {row['log_seconds']:.0f} | {rate:.0f} | {first:.0f} | {told} |"
 
 
 # Corrections

@@ -27,18 +27,18 @@ _SURE = 5
 _MISSES, _MISSES_PER_HIT = 6, 4
 #: Share of the systematic errors' spread that resampling keeps; the rest is drawn anew (J. Liu and M. West, 2001).
 _KEPT = 0.995
-#: A short log gets at most so many times as many filters.
-_MOST = 4.0
+#: A short log gets at most so many times as many runs.
+_MOST = 3.0
 _ARRAYS = ("pose", "systematic", "weights", "mean", "P", "key", "type", "hits", "misses", "next_key")
 
 
 @dataclass(frozen=True, slots=True)
 class ParticleConfig:
-    """How many ``particles`` in each of how many ``filters``, and what they take a detection for.
+    """How many ``particles`` in each of how many ``filters`` of how many ``runs``, and what they take a detection for.
 
-    ``behind`` [nats]: a filter that has foretold so much less of the log than the best one goes on from another one's
-    particles; the odds against it are then 22,000 to 1. ``moments``: a log of fewer that count gets more filters in
-    proportion, so that it takes as much work, up to four times as many.
+    ``behind`` [nats]: a filter that has foretold so much less of the log than the best one of its run goes on from
+    another one's particles; the odds against it are then 22,000 to 1. ``moments``: a log of fewer that count gets more
+    runs in proportion, so that it takes as much work, up to three times as many.
 
     ``new_density``, ``false_density`` [1/m^2]: density of a detection of a landmark that isn't known, and of none at
     all. ``near`` [m]: so near to a known landmark no other one begins. ``step`` [m], ``turn`` [rad]: detections count
@@ -56,6 +56,7 @@ class ParticleConfig:
 
     particles: int = 500
     filters: int = 12
+    runs: int = 2
     moments: int = 2400
     behind: float = 10.0
     new_density: float = 0.003
@@ -69,16 +70,16 @@ class ParticleConfig:
     temper: float = 0.7
     least: int = 5
 
-    def filters_for(self, moments: int) -> int:
-        """How many filters a log of so many moments gets.
+    def runs_for(self, moments: int) -> int:
+        """How many runs a log of so many moments gets.
 
-        >>> [ParticleConfig(filters=12).filters_for(moments) for moments in (5000, 1200, 100)]
-        [12, 24, 48]
+        >>> [ParticleConfig(runs=2).runs_for(moments) for moments in (5000, 1200, 100)]
+        [2, 4, 6]
         """
-        return round(self.filters * min(_MOST, max(1.0, self.moments / max(moments, 1))))
+        return round(self.runs * min(_MOST, max(1.0, self.moments / max(moments, 1))))
 
     def __post_init__(self) -> None:
-        for name in ("particles", "filters", "moments"):
+        for name in ("particles", "filters", "runs", "moments"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
         if not self.behind > 0:

@@ -11,6 +11,10 @@ of the marginal likelihood; A. Doucet, N. de Freitas and N. Gordon, 2001, sectio
 goes on from another one's particles. So each such place needs a filter that is right there, and not the whole log one
 that is right everywhere. (Particles on islands: C. Verge, C. Dubarry, P. Del Moral and E. Moulines, Statistics and
 Computing 25, 2015; there islands are drawn anew by their weights.)
+
+What looks worse by 10 nats may still be right: a glance that the true history takes for chance and a wrong one for a
+landmark costs it as much, and it is told apart a minute later only. By then all filters may go on from the wrong one.
+So all this is run several times, each for itself, and the run that foretold most of the log counts.
 """
 
 from __future__ import annotations
@@ -59,15 +63,24 @@ def in_plain_sight(poses: Array, places: Array) -> NDArray[np.bool_]:
 
 
 def associate(events: Iterable[Event], sensors: Sensors, config: ParticleConfig, seed: int) -> Association:
-    """What the likeliest particle of the likeliest filter says; the same events and seed give the same.
+    """What the likeliest particle of the likeliest filter of all runs says; the same events and seed give the same.
 
     Detections with names or arms are passed over, and those between two moments that count (``config.step``).
     """
     types: dict[str, int] = {}
     frames = list(_frames(events, sensors, config, types))
-    count = config.filters_for(len(frames))
-    filters = [Particles(sensors, config, np.random.default_rng([seed, k])) for k in range(count)]
-    rng = np.random.default_rng([seed, count])
+    found = (
+        _run(frames, list(types), sensors, config, (seed, number)) for number in range(config.runs_for(len(frames)))
+    )
+    return max(found, key=lambda association: association.nats)
+
+
+def _run(
+    frames: Sequence[Frame], names: Sequence[str], sensors: Sensors, config: ParticleConfig, seed: tuple[int, int]
+) -> Association:
+    """Several filters side by side through the whole log."""
+    filters = [Particles(sensors, config, np.random.default_rng([*seed, k])) for k in range(config.filters)]
+    rng = np.random.default_rng([*seed, config.filters])
     chosen: list[list[_Small]] = []
     parents: list[list[tuple[int, _Small | None]]] = []
     for frame in frames:
@@ -75,7 +88,7 @@ def associate(events: Iterable[Event], sensors: Sensors, config: ParticleConfig,
         drawn = [particles.resampled() for particles in filters]
         before = [k if heir is None else heir for k, heir in enumerate(_succession(filters, config.behind, rng))]
         parents.append([(k, None if (who := drawn[k]) is None else who.astype(np.int32)) for k in before])
-    return _traced(frames, list(types), filters, chosen, parents)
+    return _traced(frames, names, filters, chosen, parents)
 
 
 def _succession(filters: Sequence[Particles], behind: float, rng: np.random.Generator) -> list[int | None]:

@@ -13,7 +13,7 @@ from mapfuse.datasets.mapper.particle_filter import ParticleConfig
 from mapfuse.datasets.mapper.particles import associate, in_plain_sight
 
 SENSORS = Sensors(range_sigma=0.1, range_sigma_per_metre=0.0, bearing_sigma=0.03, odometry_turn_sigma_per_turn=0.1)
-FEW = ParticleConfig(particles=40, filters=2, moments=1)
+FEW = ParticleConfig(particles=40, filters=2, runs=1, moments=1)
 PLACES = np.array([[3.0, 3.0], [-3.0, 3.5], [-3.5, -3.0], [3.2, -3.4], [0.2, 5.0], [5.0, -0.5]])
 
 
@@ -93,6 +93,14 @@ def test_the_history_is_whole_however_often_filters_go_on_from_each_other(drive)
     assert len(found.landmark_from_number) > 0.5 * len(trees)
 
 
+def test_the_likeliest_of_several_runs_counts(drive):
+    log, _ = drive
+    few = replace(FEW, particles=5)
+    of_runs = [associate(log.events, SENSORS, replace(few, runs=count), seed=7).nats for count in (1, 2, 4)]
+    assert of_runs == sorted(of_runs)
+    assert of_runs[0] < of_runs[-1]
+
+
 TURNS_BLINDLY = replace(SENSORS, odometry_turn_sigma_per_turn=0.15)
 
 
@@ -126,7 +134,7 @@ def turning_blindly(seed):
 
 def test_filters_that_go_on_from_each_other_keep_a_history_that_they_would_lose_alone():
     """Few particles, so that many histories are lost. On twelve such drives the mean gain was 88, within about 30."""
-    config = ParticleConfig(particles=10, filters=8, moments=1)
+    config = ParticleConfig(particles=10, filters=8, runs=1, moments=1)
     gained = []
     for seed in range(100, 108):
         events = turning_blindly(seed)
@@ -169,7 +177,7 @@ def test_plain_sight_is_ahead_and_near():
     assert in_plain_sight(pose, places).tolist() == [[True, False, False, False, True]]
 
 
-@pytest.mark.parametrize("name", ["particles", "filters", "moments", "behind"])
+@pytest.mark.parametrize("name", ["particles", "filters", "runs", "moments", "behind"])
 def test_no_particles_are_refused(name):
     with pytest.raises(ConfigError, match=name):
         ParticleConfig(**{name: 0})
