@@ -44,7 +44,7 @@ from .packing import (
     map_bytes,
     part_of,
 )
-from .table import MAP_COLUMNS, PAIR_COLUMNS, failed_row, pair_row, write_csv, write_parquet
+from .table import MAP_COLUMNS, PAIR_COLUMNS, failed_row, pair_row, read_csv, write_csv, write_parquet
 from .unpaired import unpaired
 
 GROUPS, PAIRS, MAPS = "groups", "pairs", "maps.csv"
@@ -271,9 +271,11 @@ class Batch:
 
     def write_tables(self) -> None:
         """The tables of pairs and of maps."""
-        write_csv(self.run / f"{PAIRS}.csv", PAIR_COLUMNS, self._pair_rows())
-        if not write_parquet(self.run / f"{PAIRS}.parquet", self._pair_rows()):
-            (self.run / f"{PAIRS}.parquet").unlink(missing_ok=True)
+        table, parquet = (self.run / f"{PAIRS}.{ending}" for ending in ("csv", "parquet"))
+        write_csv(table, PAIR_COLUMNS, self._pair_rows())
+        # a row takes the unpacking of all that was compared: once is enough
+        if not write_parquet(parquet, read_csv(table)):
+            parquet.unlink(missing_ok=True)
         write_csv(self.run / MAPS, MAP_COLUMNS, self._map_rows())
 
     def _pair_rows(self) -> Iterator[dict[str, Any]]:

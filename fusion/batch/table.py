@@ -87,6 +87,14 @@ def kind_of(column: str) -> str:
     return "text" if column in _TEXTS else "count" if column == "count" else "number"
 
 
+def read_csv(path: Path, kind_of: Callable[[str], str] = kind_of) -> Iterator[Row]:
+    """The rows of a table that `write_csv` wrote, one at a time; what is empty is None."""
+    made = {"text": str, "count": int, "number": float}
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            yield {name: made[kind_of(name)](cell) if cell else None for name, cell in row.items()}
+
+
 def write_parquet(
     path: Path,
     rows: Iterable[Row],
