@@ -24,7 +24,7 @@ from .heading import headings_of
 from .keys import FrameKey, KeyBook, LandmarkKey, Unknown
 from .measurement import Array, Poses, squared_error
 from .noise import floored_eigen
-from .turning import derivatives, errors, pivot
+from .turning import derivatives, errors, pivot, seen_jacobians
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,18 +89,11 @@ class JointMeasurement:
         return np.asarray(self.sqrt_information @ off.reshape(-1)[list(self.places)])
 
     def jacobians(self, T: Array, landmarks: Array) -> tuple[Array, Array]:
-        """Of the residual by the body tangents of the frame (m, 3) and of each landmark (n, m, 3).
-
-        With p the landmark in the map's frame: dp = R_T' R_i v_i - v_T - omega_T (-p_y, p_x).
-        """
+        """Of the residual by the body tangents of the frame (m, 3) and of each landmark (n, m, 3)."""
         n, places = len(landmarks), list(self.places)
         seen = np.asarray(se2.between(T, landmarks))
         R, lever, gradient = derivatives(self.recorded, self.pivot, seen)
-        by_frame = np.tile(-np.eye(3), (n, 1, 1))
-        by_frame[:, 0, 2], by_frame[:, 1, 2] = seen[:, 1], -seen[:, 0]
-        by_landmark = np.zeros((n, 3, 3))
-        by_landmark[:, :2, :2] = se2.rotation(seen[:, 2])
-        by_landmark[:, 2, 2] = 1
+        by_frame, by_landmark = seen_jacobians(seen)
         # the turn, which depends on all of them
         levers = np.zeros((n, 3))
         levers[:, :2] = lever

@@ -128,3 +128,21 @@ def derivatives(recorded: Array, about: Array, seen: Array) -> tuple[Array, Arra
     """
     f, gradient = turn(recorded[:, :2], seen[:, :2])
     return se2.rotation(-f), -_shape(recorded, about, seen, f) @ QUARTER.T, gradient
+
+
+def seen_jacobians(seen: Array) -> tuple[Array, Array]:
+    """Derivatives of landmarks' poses ``seen`` (n, 3) from a frame by the body tangents of that frame (n, 3, 3) and of
+    each landmark itself (n, 3, 3).
+
+    With p the landmark in the frame, v a body velocity and w a turn: ``dp = R_T' R_i v_i - v_T - w_T (-p_y, p_x)``.
+
+    >>> by_frame, by_landmark = seen_jacobians(np.array([[4.0, 3.0, 0.0]]))
+    >>> by_frame[0, :, 2].tolist(), by_landmark[0].tolist() == np.eye(3).tolist()
+    ([3.0, -4.0, -1.0], True)
+    """
+    by_frame = np.tile(-np.eye(3), (len(seen), 1, 1))
+    by_frame[:, 0, 2], by_frame[:, 1, 2] = seen[:, 1], -seen[:, 0]
+    by_landmark = np.zeros((len(seen), 3, 3))
+    by_landmark[:, :2, :2] = se2.rotation(seen[:, 2])
+    by_landmark[:, 2, 2] = 1
+    return by_frame, by_landmark

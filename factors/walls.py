@@ -25,7 +25,7 @@ from .joint import pivot_of
 from .keys import FrameKey, KeyBook, LandmarkKey, Unknown, map_keys
 from .measurement import Array, Poses, squared_error
 from .noise import floored_eigen
-from .turning import QUARTER, derivatives, errors, placed, turn
+from .turning import QUARTER, derivatives, errors, placed, seen_jacobians, turn
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,13 +72,10 @@ class Hanging:
         """Of `moved` by the body tangents of the frame (3k, 3) and of each landmark (3k, 3n)."""
         seen = self._seen(poses)
         n, k = len(seen), len(self.keyframes)
-        by_frame = np.tile(-np.eye(3), (n, 1, 1))
-        by_frame[:, 0, 2], by_frame[:, 1, 2] = seen[:, 1], -seen[:, 0]
-        by_landmark = np.zeros((n, 3, 3 * n))
-        for i, R in enumerate(se2.rotation(seen[:, 2])):
-            by_landmark[i, :2, 3 * i : 3 * i + 2] = R
-            by_landmark[i, 2, 3 * i + 2] = 1
-        both = np.concatenate([by_frame, by_landmark], axis=2)
+        by_frame, by_landmark = seen_jacobians(seen)
+        of_each = np.zeros((n, 3, n, 3))
+        of_each[range(n), :, range(n)] = by_landmark
+        both = np.concatenate([by_frame, of_each.reshape(n, 3, 3 * n)], axis=2)
         # of the errors by the tangents, then of the keyframes by the errors and the turn
         R, lever, gradient = derivatives(self.recorded, self.pivot, seen)
         by_turn = np.einsum("ni,nij->j", gradient, both[:, :2])
