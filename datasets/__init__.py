@@ -11,7 +11,8 @@ from .errors import (
     TooLargeError,
     UndeterminedError,
 )
-from .logfile import LogReport, read_log, write_log
+from .logfile import read_log, write_log
+from .logreport import LogReport
 from .logs import Compass, Detection, Event, Gyro, Log, LogHeader, LogTruth, Odometry, Scan, SensedArm, Sensors
 from .logtruth import read_log_truth, write_log_truth
 from .mapfile import map_from_dict, map_to_dict, read_map, validate, write_map

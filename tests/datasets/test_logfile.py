@@ -15,9 +15,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapfuse.datasets import logfile
+from mapfuse.datasets import logreading
 from mapfuse.datasets.errors import FileFormatError, InputError, MapfuseError
-from mapfuse.datasets.logfile import LogReport, header_from_dict, header_to_dict, read_log, write_log
+from mapfuse.datasets.logfile import read_log, write_log
+from mapfuse.datasets.logheader import header_from_dict, header_to_dict
+from mapfuse.datasets.logreport import LogReport
 from mapfuse.datasets.logs import Compass, Detection, Gyro, Log, LogHeader, LogTruth, Odometry, Scan, SensedArm, Sensors
 from mapfuse.datasets.logtruth import read_log_truth, write_log_truth
 
@@ -234,7 +236,7 @@ def test_the_example_of_the_documentation_is_a_log(tmp_path):
 
 def test_the_documentation_states_the_numbers_of_the_code():
     text = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
-    for value, unit in ((logfile.REORDER, "seconds"), (logfile.PAUSE, "seconds"), (logfile.CONFIRM, "lines")):
+    for value, unit in ((logreading.REORDER, "seconds"), (logreading.PAUSE, "seconds"), (logreading.CONFIRM, "lines")):
         assert f"{value:g} {unit}" in text
     for field in fields(Sensors):
         assert f"`{field.name}`" in text or field.name == "extra"

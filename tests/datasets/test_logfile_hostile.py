@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapfuse.datasets import logfile
+from mapfuse.datasets import logreading
 from mapfuse.datasets.errors import FileFormatError, InputError
-from mapfuse.datasets.logfile import CONFIRM_STEP, MAX_KEPT, PAUSE, REORDER, LogReport, read_log, write_log
+from mapfuse.datasets.logfile import read_log, write_log
+from mapfuse.datasets.logreading import CONFIRM_STEP, PAUSE, REORDER
+from mapfuse.datasets.logreport import MAX_KEPT, LogReport
 from mapfuse.datasets.logs import Detection, Gyro, Log, LogHeader, Odometry
 
 HEAD = b'{"format":"mapfuse.log/1","name":"a"}\n'
@@ -259,7 +261,7 @@ def test_whatever_the_times_they_never_decrease_and_every_line_is_accounted_for(
 
 
 def test_events_of_one_moment_do_not_pile_up(read, monkeypatch):
-    monkeypatch.setattr(logfile, "MAX_WAITING", 100)
+    monkeypatch.setattr(logreading, "MAX_WAITING", 100)
     events, report = read(drive(0, 1) + door(0.5) * 20_000 + drive(1, 2))
     assert len(events) == 20_003
     assert not report.counts
@@ -324,7 +326,7 @@ def test_what_is_no_readable_file_is_one_clear_error(tmp_path):
 
 
 def test_a_line_that_is_too_long_is_left_out_without_being_held(tmp_path, monkeypatch):
-    monkeypatch.setattr(logfile, "MAX_LINE_BYTES", 2**16)
+    monkeypatch.setattr(logreading, "MAX_LINE_BYTES", 2**16)
     file = tmp_path / "a.gz"
     with gzip.open(file, "wb", compresslevel=1) as out:
         out.write(HEAD + drive(0, 5) + b'{"event":"gyro","t":0.5,"junk":"')
@@ -342,8 +344,8 @@ def test_a_line_that_is_too_long_is_left_out_without_being_held(tmp_path, monkey
 
 
 def test_a_line_without_end_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr(logfile, "MAX_LINE_BYTES", 2**16)
-    monkeypatch.setattr(logfile, "MAX_SKIPPED_BYTES", 2**20)
+    monkeypatch.setattr(logreading, "MAX_LINE_BYTES", 2**16)
+    monkeypatch.setattr(logreading, "MAX_SKIPPED_BYTES", 2**20)
     file = tmp_path / "a.log.jsonl"
     file.write_bytes(HEAD + drive(0, 5) + b" " * 2**22)
     read = []
@@ -372,7 +374,7 @@ def test_the_report_says_of_each_kind_where_it_begins(read):
 def test_a_lenient_reader_warns_once_at_the_end(tmp_path, caplog):
     file = tmp_path / "a.log.jsonl"
     file.write_bytes(HEAD + drive(0, 5) + b"x\n")
-    with caplog.at_level(logging.WARNING, logger="mapfuse.datasets.logfile"):
+    with caplog.at_level(logging.WARNING, logger="mapfuse.datasets.logreading"):
         list(read_log(file).events)
     assert [record.getMessage() for record in caplog.records] == [
         f"{file}: 1 invalid; 1 line left out; first, line 7: is not JSON: invalid character (byte 0)"

@@ -5,7 +5,8 @@ import pytest
 
 from mapfuse.datasets import mrclam, se2
 from mapfuse.datasets.errors import FileFormatError, InputError, MapfuseError
-from mapfuse.datasets.logfile import LogReport, read_log, write_log
+from mapfuse.datasets.logfile import read_log, write_log
+from mapfuse.datasets.logreport import LogReport
 from mapfuse.datasets.logs import Detection, Odometry
 from mapfuse.datasets.mrclam import SENSORS, read_mrclam_log, read_mrclam_truth
 
