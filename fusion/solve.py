@@ -38,6 +38,9 @@ LEVEL = 1e-6
 TURNED = 1e-3
 #: From this share of correspondences beyond the gate on, the optimum of all of them is no place to start from.
 MANY = 0.25
+#: Steps count as slow that keep more than `SLOW` of their length, and as on a line from this squared cosine on; so many
+#: times as long are they made at least and at most.
+SLOW, ON_A_LINE, LENGTHS = 0.2, 0.9, (0.1, 10.0)
 MAX_RESTARTS = 10
 MAX_STEPS = 12
 
@@ -154,19 +157,47 @@ def optimum(problem: Problem, rejected: Sequence[Correspondence] = ()) -> Soluti
 
 
 def _gauss_newton(graph: Any, values: Any, order: Any) -> tuple[Any, int, float | None]:
-    """Steps while the error doesn't rise; the poses, how many steps, and the last one's size or None at the optimum."""
+    """Steps while the error doesn't rise; the poses, how many steps, and the last one's size or None at the optimum.
+
+    Where the residuals are bent as much as they are steep, as where a map's heading is hardly known, Gauss-Newton's
+    steps shrink slowly or go to and fro. They then are a line's: by how much the last one was right follows from what
+    is left of it, and the next is made so much longer or shorter (`_length`).
+    """
     error, steps, largest = graph.error(values), 0, np.inf
+    past, length = np.zeros(0), 1.0
     for _ in range(MAX_STEPS):
         step = graph.linearize(values).optimize(order)
-        further = values.retract(step)
-        after = graph.error(further)
-        before, largest = largest, float(np.abs(step.vector()).max(initial=0.0))
+        whole = step.vector()
+        proposed, past = _length(whole, past, length), whole
+        for share in (proposed, 1.0, 0.5):
+            length, further = share, values.retract(step.scale(share))
+            after = graph.error(further)
+            if after <= error + (LEVEL if share == 1.0 else 0.0):
+                break
+        before, largest = largest, float(np.abs(whole).max(initial=0.0))
         if not after <= error + LEVEL:
             return values, steps, None if largest < ROUNDING_STEP else np.inf
         gain, values, error, steps = abs(error - after), further, after, steps + 1
         if largest < CONVERGED_STEP or (largest > before / 2 and gain <= ROUNDING * (1 + error)):
             return values, steps, None
     return values, steps, largest
+
+
+def _length(step: Array, past: Array, length: float) -> float:
+    """What share of Gauss-Newton's ``step`` to go, after ``length`` times the ``past`` one; 1 unless both are slow and
+    on one line (secant method on that line; B. Irons and R. Tuck, Int. J. Numer. Meth. Eng. 1, 1969).
+
+    >>> s = np.array([0.0, 1.0])
+    >>> _length(-0.9 * s, s, 1.0), _length(0.75 * s, s, 1.0), _length(0.01 * s, s, 1.0)
+    (0.5263157894736842, 4.0, 1.0)
+    """
+    if len(past) != len(step) or not len(step):
+        return 1.0
+    along, square = float(step @ past), float(past @ past)
+    if along**2 < ON_A_LINE * square * float(step @ step) or abs(along) < SLOW * square:
+        return 1.0
+    undone = (1.0 - along / square) / length
+    return float(np.clip(1.0 / undone, *LENGTHS)) if undone > 0.0 else 1.0
 
 
 def _levenberg_marquardt(graph: Any, values: Any, tolerance: float) -> tuple[Any, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -26,7 +27,7 @@ from mapfuse.factors import (
 )
 from mapfuse.fusion import covariance as covariance_module
 from mapfuse.fusion.config import SolvingConfig, chi2_gate
-from mapfuse.fusion.solve import left_out, solve
+from mapfuse.fusion.solve import MAX_STEPS, _gauss_newton, left_out, solve
 
 CONFIG = SolvingConfig()
 
@@ -186,7 +187,9 @@ def test_the_optimum_is_one_whatever_the_start():
     rng = np.random.default_rng(3)
     starts = {u: pose + rng.normal(0, (0.5, 0.5, 0.05)) for u, pose in solution.poses.items() if u != FrameKey(0)}
     again = solve(solution.problem.starting_at(starts), CONFIG)
-    assert again.chi2 == pytest.approx(solution.chi2, rel=1e-8)
+    # what is minimised: some readings of the compass have a robust loss, and their squares no minimum here
+    errors = [sum(m.error(found.poses) for m in found.problem.measurements) for found in (solution, again)]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-10)
     for u, pose in solution.poses.items():
         np.testing.assert_allclose(se2.between(pose, again.poses[u]), 0, atol=1e-5)
 
@@ -345,3 +348,23 @@ def test_the_solution_says_how_it_was_got():
     assert solution.iterations >= 1
     assert solution.rejected == ()
     assert replace(solution, iterations=0).poses is solution.poses
+
+
+@pytest.mark.parametrize("bend", [-0.95, -0.5, 0.5, 0.9])
+def test_steps_that_shrink_slowly_or_go_to_and_fro_reach_the_optimum_soon(bend: float) -> None:
+    """Residuals x + 1 and bend x^2 + x - 1: the optimum is 0, and plain Gauss-Newton's x is multiplied by ``bend`` at
+    each step (R. Fletcher, Practical Methods of Optimization, 1987, chapter 6): after 12 steps by 0.54 and 0.28."""
+
+    def residual(factor, values, jacobians):
+        x = values.atDouble(0)
+        if jacobians is not None:
+            jacobians[0] = np.array([[1.0], [2 * bend * x + 1]])
+        return np.array([x + 1, bend * x**2 + x - 1])
+
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(2), [0], residual))
+    values.insert(0, 0.02)
+    found, steps, last = _gauss_newton(graph, values, gtsam.Ordering([0]))
+    assert last is None
+    assert steps < MAX_STEPS
+    assert abs(found.atDouble(0)) < 1e-6
