@@ -287,6 +287,9 @@ class Pair:
         cost = scene.cost
         if cost > settings.full:
             part = scene.part(settings.sample)
+            if len(candidates) > 2 * settings.last:
+                rough = scene.assess(candidates, (loose,), part)
+                candidates, _ = self._best(rough, settings.refined, settings.last, settings.sample)
             limit = int(np.clip(settings.refined * settings.full / cost, settings.last, settings.refined))
             sampled = scene.assess(candidates, (loose, loose / 3, 0.0), part)
             candidates, behind = self._best(sampled, limit, settings.last, settings.sample)
