@@ -1,6 +1,7 @@
 """How often the matcher has the truth in its list, and first: on simulated floors with known truth; prints a table.
 
-    .venv/bin/python benchmarks/matching_accuracy.py [--quick] [--tuning] [--first N] [--write] [--ablation | --baselines]
+    .venv/bin/python benchmarks/matching_accuracy.py [--quick] [--tuning] [--first N] [--write]
+        [--ablation | --baselines [--pairs N]]
 
 Each row is many pairs of maps (`matching_floors`). Right: within 1 m and 5 degrees of the truth, taken at the middle of
 the common landmarks. Where maps are bent by drift no single T12 is true: right is a hypothesis with 8 or more true

@@ -201,8 +201,7 @@ def _box(grid, x, y):
 def _fullest(counters):
     most = np.uint16(0)
     for k in range(len(counters)):
-        if counters[k] > most:
-            most = counters[k]
+        most = max(most, counters[k])
     return most
 
 
