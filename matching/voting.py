@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -34,9 +35,19 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-def matcher_kernels() -> ModuleType:
-    """The compiled loops of the matcher."""
-    return kernels("_kernels", __package__, "the matcher")
+def turn_kernels() -> ModuleType:
+    """The compiled loops over what pairs of landmarks propose."""
+    return kernels("_turn_kernels", __package__, "the matcher's proposals")
+
+
+def vote_kernels() -> ModuleType:
+    """The compiled loops over votes."""
+    return kernels("_vote_kernels", __package__, "the matcher's votes")
+
+
+def match_kernels() -> ModuleType:
+    """The compiled loops that match, align and score."""
+    return kernels("_match_kernels", __package__, "the matcher")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +81,7 @@ class Settings:
     sample: int = 300
     full: int = 400
     last: int = 8
-    few: int = 16
+    few: int = 8
     behind: float = 4.0
     ways: int = 1500
     sorted: int = 2000
@@ -102,7 +113,7 @@ class Candidates:
 
     def taken(self, places: Indices) -> Candidates:
         """Some of them."""
-        return Candidates(self.T12s[places], self.centres[places])
+        return Candidates(self.T12s.take(places, axis=0), self.centres.take(places, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +126,16 @@ class Assessed:
     count: NDArray[np.int32]
     partner: NDArray[np.int32]
     seed: NDArray[np.int32]
+
+    def followed_by(self, other: Assessed) -> Assessed:
+        """Both, one after the other."""
+        T12s = np.concatenate([self.candidates.T12s, other.candidates.T12s])
+        centres = np.concatenate([self.candidates.centres, other.candidates.centres])
+        columns = [
+            np.concatenate([getattr(side, name) for side in (self, other)])
+            for name in ("score", "count", "partner", "seed")
+        ]
+        return Assessed(Candidates(T12s, centres), *columns)
 
 
 def propose_by_votes(
@@ -163,7 +184,7 @@ class Pair:
         self, one: LandmarkArrays, two: LandmarkArrays, config: MatchingConfig, settings: Settings = SETTINGS
     ) -> None:
         self.one, self.two, self.config, self.settings = one, two, config, settings
-        self.kernels: ModuleType = matcher_kernels()
+        self.kernels: ModuleType = match_kernels()
         label1, label2, _ = shared_labels(one, two)
         if not config.use_h1:
             label1, label2 = np.zeros_like(label1), np.zeros_like(label2)
@@ -173,7 +194,7 @@ class Pair:
 
     def proposals(self) -> Candidates:
         """Where T12 may be: every pair's turns in small maps, peaks of the vote in large ones."""
-        k, p1, p2 = self.kernels, self.one.patterns, self.two.patterns
+        k, p1, p2 = turn_kernels(), self.one.patterns, self.two.patterns
         if not len(p1.members) or not len(p2.members):
             return Candidates(np.zeros((0, 3)), np.zeros((0, 2)))
         own1, own2 = self.label1[p1.members[p1.start[:-1]]], self.label2[p2.members[p2.start[:-1]]]
@@ -200,7 +221,7 @@ class Pair:
 
         def vote(theta: float) -> tuple[Array, Array, Array]:
             grid = np.zeros(shape, dtype=np.uint16) if only is None else only
-            found: tuple[Array, Array, Array] = k.vote(
+            found: tuple[Array, Array, Array] = vote_kernels().vote(
                 p1.start, p1.heading, xy1, pattern2, heading2, xy2, count, offset,
                 theta, self.settings.rotation_width, size, grid, self.settings.peaks,
             )  # fmt: skip
@@ -223,21 +244,22 @@ class Pair:
         within = int(np.searchsorted(np.cumsum(cast[able][order]), self.settings.votes / 2))
         rare = order[: max(within, 1)][: self.settings.voters]
         others = np.argsort(lonely)[np.linspace(0, len(lonely) - 1, self.settings.voters).astype(np.intp)]
-        chosen = np.unique(np.concatenate([rare, others]))
+        chosen = np.zeros(len(able), dtype=bool)
+        chosen[rare] = chosen[others] = True
         return np.asarray(able[chosen])
 
     def _grid(self, xy1: Array, xy2: Array) -> tuple[float, tuple[int, int]]:
         """Size [m] of the cells of the counters, and how many there are along each axis."""
-        diagonal2 = float(np.hypot(*_extent(xy2)))
-        extent = _extent(xy1) + diagonal2
-        cells = float(np.clip(40 * len(xy1), *self.settings.cells))
+        diagonal2 = math.hypot(*_extent(xy2))
+        extent = [length + diagonal2 for length in _extent(xy1)]
+        least, most = self.settings.cells
+        cells = float(min(max(40 * len(xy1), least), most))
         size = self.settings.cell_m
-        wanted = extent / size + 3
-        shrink = max(1.0, float(np.sqrt(np.prod(wanted) / cells)))
+        wanted = (extent[0] / size + 3) * (extent[1] / size + 3)
         # larger cells up to a point; then the plane is folded
-        size *= min(shrink, 2.0)
-        side = int(np.sqrt(cells))
-        wide, high = (float(e) / size + 3 for e in extent)
+        size *= min(max(1.0, math.sqrt(wanted / cells)), 2.0)
+        side = int(math.sqrt(cells))
+        wide, high = (e / size + 3 for e in extent)
         nx, ny = int(min(wide, cells / min(side, high))), int(min(high, cells / min(side, wide)))
         return size, (max(nx, 3), max(ny, 3))
 
@@ -261,15 +283,21 @@ class Pair:
             part = scene.part(settings.glance)
             rough = scene.assess(candidates, (loose,), part)
             fewest = settings.refined if scene.cost <= settings.full else settings.few
-            candidates = self._best(rough, settings.refined, fewest, settings.glance)
+            candidates, _ = self._best(rough, settings.refined, fewest, settings.glance)
         cost = scene.cost
         if cost > settings.full:
             part = scene.part(settings.sample)
+            if len(candidates) > 2 * settings.last:
+                rough = scene.assess(candidates, (loose,), part)
+                candidates, _ = self._best(rough, settings.refined, settings.last, settings.sample)
             limit = int(np.clip(settings.refined * settings.full / cost, settings.last, settings.refined))
             sampled = scene.assess(candidates, (loose, loose / 3, 0.0), part)
-            candidates = self._best(sampled, limit, settings.last, settings.sample)
-            # aligned by some hundred landmarks a candidate of a very large map is known well enough
-            found = scene.assess(candidates, (0.0,) if cost > settings.sorted else (0.0, 0.0))
+            candidates, behind = self._best(sampled, limit, settings.last, settings.sample)
+            # a candidate of a very large map is known well enough by some hundred landmarks, and so is a hopeless one
+            aligned = 0 if cost > settings.sorted else behind
+            found = scene.assess(candidates.taken(np.arange(aligned, len(candidates))), (0.0,))
+            if aligned:
+                found = scene.assess(candidates.taken(np.arange(aligned)), (0.0, 0.0)).followed_by(found)
         else:
             found = scene.assess(candidates, (loose, loose / 3, 0.0))
         score = found.score + self._compass(found.candidates.T12s[:, 2])
@@ -285,10 +313,10 @@ class Pair:
         found = _Scene(self).assess(candidates, (loose, loose / 3, 0.0))
         return replace(found, score=found.score + self._compass(found.candidates.T12s[:, 2]))
 
-    def _best(self, found: Assessed, limit: int, fewest: int, compared_by: int) -> Candidates:
-        """The distinct ones of the best candidates, ``limit`` at most.
+    def _best(self, found: Assessed, limit: int, fewest: int, compared_by: int) -> tuple[Candidates, int]:
+        """The distinct ones of the best candidates, ``limit`` at most, and how many of them aren't hopelessly behind.
 
-        Beyond the ``fewest`` first only those whose score, ``compared_by`` so many landmarks, isn't hopelessly behind.
+        By their score, ``compared_by`` so many landmarks; others are only kept among the ``fewest`` first.
         """
         score = found.score + self._compass(found.candidates.T12s[:, 2])
         order = _best_first(score, found.candidates.T12s)
@@ -296,7 +324,7 @@ class Pair:
         kept = self._distinct(ordered, self.config.tolerance_m / 2, limit)
         behind = score[order[0]] - score[order[kept]]
         near = int(np.searchsorted(behind, self.settings.behind * np.sqrt(compared_by), side="right"))
-        return ordered.taken(kept[: max(near, fewest)])
+        return ordered.taken(kept[: max(near, fewest)]), near
 
     def _distinct(self, candidates: Candidates, tolerance_m: float, limit: int) -> Indices:
         # turns of a map of one landmark are distinct, too
@@ -339,13 +367,14 @@ def rotation_modes(votes: Array, width: float, limit: int) -> list[float]:
     [10.0, 100.5]
     """
     step = 2 * np.pi / len(votes)
-    centres = matcher_kernels().strongest_rotations(votes.astype(float), max(1, round(width / step)), limit)
+    centres = turn_kernels().strongest_rotations(votes.astype(float), max(1, round(width / step)), limit)
     return [float(se2.wrap(centre * step)) for centre in centres.tolist()]
 
 
-def _extent(xy: Array) -> Array:
+def _extent(xy: Array) -> tuple[float, float]:
     """Of points (n, 2) along both axes [m]; by columns, which numpy is quicker with."""
-    return np.array([np.ptp(xy[:, 0]), np.ptp(xy[:, 1])])
+    x, y = xy[:, 0], xy[:, 1]
+    return float(x.max() - x.min()), float(y.max() - y.min())
 
 
 def _best_first(score: Array, T12s: Array) -> Indices:
