@@ -292,7 +292,7 @@ def test_another_floor_of_one_plan_as_stated():
 
 def seen_once(type_="corner", fa=0.2, d=0.81):
     noise = Noise(detection_rate=d, false_alarm_rate=fa)
-    return SimpleNamespace(map=LandmarkMap("m", (Landmark("c", type_, 0.0, 0.0),), noise=noise))
+    return prepare(LandmarkMap("m", (Landmark("c", type_, 0.0, 0.0),), noise=noise), SolvingConfig())
 
 
 def test_existence_is_bayes_for_rare_landmarks():
