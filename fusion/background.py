@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets.arms import Kind, signature
-from mapfuse.datasets.maps import CORNER
+from mapfuse.datasets.maps import CORNER, SPATIAL_TYPES
 
 from .coverage import SeenArea, Segments, bare_crossings
 from .prepared import PreparedMap
@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
 ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
+#: Landmarks that are added to those seen of each kind, so that one seen once is not that rare.
+KIND_DOUBT = 2.0
 #: Share of the places where corridors cross that no landmark marks (a bridge, a hall), taken from so many such places.
 BRIDGES, BRIDGES_FROM = 0.02, 10
 
@@ -59,6 +61,16 @@ class Background:
     def corners2(self) -> NDArray[np.bool_]:
         """Which landmarks of map 2 are corners or ends of corridors by their type (n2,)."""
         return np.array([name == CORNER for name in self.m2.map.types], dtype=bool)
+
+    @cached_property
+    def spatial1(self) -> NDArray[np.bool_]:
+        """Which landmarks of map 1 are corners or junctions (n1,)."""
+        return np.array([name in SPATIAL_TYPES for name in self.m1.map.types], dtype=bool)
+
+    @cached_property
+    def spatial2(self) -> NDArray[np.bool_]:
+        """Which landmarks of map 2 are corners or junctions (n2,)."""
+        return np.array([name in SPATIAL_TYPES for name in self.m2.map.types], dtype=bool)
 
     @cached_property
     def area1(self) -> SeenArea:
@@ -115,12 +127,12 @@ class Background:
     @cached_property
     def there1(self) -> Array:
         """Log probability that each landmark of map 1 is there (n1,)."""
-        return np.log1p(-false_alarms(self.m1))
+        return np.log1p(-self.m1.false)
 
     @cached_property
     def there2(self) -> Array:
         """Log probability that each landmark of map 2 is there (n2,)."""
-        return np.log1p(-false_alarms(self.m2))
+        return np.log1p(-self.m2.false)
 
     @cached_property
     def recorded1(self) -> Array:
@@ -133,10 +145,45 @@ class Background:
         return recorded_rates(self.m2, self.m1)
 
     @cached_property
+    def unseen1(self) -> Array:
+        """Probability (n1,) of what robot 2 shows at each landmark of map 1 that it passed and didn't record: it isn't
+        there, or robot 2 went straight on and missed it."""
+        return unseen_rates(self.m1, self.m2)
+
+    @cached_property
+    def unseen2(self) -> Array:
+        """The same of the landmarks of map 2 where robot 1 goes straight on (n2,)."""
+        return unseen_rates(self.m2, self.m1)
+
+    @cached_property
+    def both1(self) -> Array:
+        """Probability (n1,) that both robots, passing, record a landmark like each one of map 1."""
+        noise1, noise2 = self.m1.map.noise, self.m2.map.noise
+        return np.array([noise1.detection(name) * noise2.detection(name) for name in self.m1.map.types], dtype=float)
+
+    @cached_property
     def ways1(self) -> Array:
         """Log number of ways in which each landmark of map 1 could lie on its corridor (n1,)."""
-        kinds = [signature(landmark).kind for landmark in self.m1.map.landmarks]
-        return np.log([float(ORIENTATIONS.get(kind, 1)) for kind in kinds])
+        return np.log([float(ORIENTATIONS.get(kind, 1)) for kind in self.kinds[0]])
+
+    @cached_property
+    def kinds(self) -> tuple[tuple[Kind, ...], tuple[Kind, ...]]:
+        """What the arms of every landmark of either map say it is."""
+        one, two = (tuple(signature(landmark).kind for landmark in m.map.landmarks) for m in (self.m1, self.m2))
+        return one, two
+
+    @cached_property
+    def rarity1(self) -> Array:
+        """-log of the share (n1,) that the kind of each landmark of map 1 has of those of its label, in both maps."""
+        of_kind: defaultdict[tuple[str, Kind], float] = defaultdict(float)
+        of_label: defaultdict[str, float] = defaultdict(float)
+        for m, kinds in zip((self.m1, self.m2), self.kinds, strict=True):
+            for name, kind, false in zip(m.map.types, kinds, m.false.tolist(), strict=True):
+                of_kind[name, kind] += 1 - false
+                of_label[name] += 1 - false
+        of_its = zip(self.m1.map.types, self.kinds[0], strict=True)
+        shares = [(of_kind[name, kind] + KIND_DOUBT) / (of_label[name] + KIND_DOUBT) for name, kind in of_its]
+        return np.asarray(-np.log(np.array(shares, dtype=float)))
 
     @cached_property
     def labels(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -156,7 +203,7 @@ class Background:
     def _rates(self, of1: NDArray[np.bool_], of2: NDArray[np.bool_], extent: float) -> dict[str, float]:
         expected: defaultdict[str, float] = defaultdict(float)
         for m, chosen in ((self.m1, of1), (self.m2, of2)):
-            there = 1 - false_alarms(m)
+            there = 1 - m.false
             for k in np.flatnonzero(chosen).tolist():
                 expected[label(m, k)] += float(there[k]) / max(m.map.noise.detection(m.map.types[k]), 1e-3)
         return {name: count / extent for name, count in expected.items()}
@@ -182,25 +229,14 @@ def label(m: PreparedMap, k: int) -> str:
     return m.map.types[k]
 
 
-def false_alarm(m: PreparedMap, k: int) -> float:
-    """Probability that a recorded landmark isn't there: the robot's rate to the power of the detections.
-
-    Never quite 0 or 1, whatever the map states: no evidence is infinite.
-    """
-    landmark = m.map.landmarks[k]
-    if landmark.existence is not None:
-        rate = 1 - landmark.existence
-    else:
-        rate = m.map.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
-    return min(max(rate, 1e-9), 1 - 1e-9)
-
-
-def false_alarms(m: PreparedMap) -> Array:
-    """`false_alarm` of all landmarks of a map (n,)."""
-    return np.array([false_alarm(m, k) for k in range(len(m))], dtype=float)
-
-
 def recorded_rates(m: PreparedMap, other: PreparedMap) -> Array:
     """Probability (n,) that the other robot, passing, records each landmark that stands in this map."""
     detection = np.array([other.map.noise.detection(name) for name in m.map.types], dtype=float)
-    return np.asarray(np.clip((1 - false_alarms(m)) * detection, 1e-6, 1 - 1e-6))
+    return np.asarray(np.clip((1 - m.false) * detection, 1e-6, 1 - 1e-6))
+
+
+def unseen_rates(m: PreparedMap, other: PreparedMap) -> Array:
+    """Probability (n,) that each landmark of a map isn't there, or is, and the other robot goes straight on without
+    recording it."""
+    unseen = [(1 - other.map.noise.detection(name)) * other.goes_straight(name) for name in m.map.types]
+    return np.asarray(np.clip(m.false + (1 - m.false) * np.array(unseen, dtype=float), 1e-6, 1 - 1e-6))

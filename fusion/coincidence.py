@@ -31,7 +31,10 @@ def corridor_matches(joined: Joined, background: Background, angle: float) -> tu
         return 0.0, 0.0
     i, j = joined.i[on], joined.j[on]
     worth = background.there1[i] + background.there2[j] - np.log(background.rates1[i])
-    worth = worth + np.where(joined.arms.coincide[on] >= 2, background.ways1[i], 0.0)
+    kinds1, kinds2 = background.kinds
+    agree = (joined.arms.coincide[on] >= 2) & (joined.arms.contradict[on] == 0)
+    alike = agree & np.array([kinds1[a] == kinds2[b] for a, b in zip(i, j, strict=True)])
+    worth = worth + np.where(agree, background.ways1[i], 0.0) + np.where(alike, background.rarity1[i], 0.0)
     if len(on) == 1:  # it is what places map 2: its density is the prior of T12
         return float(worth[0]), 0.0
     densities, regular = 0.0, 0.0
@@ -44,6 +47,7 @@ def corridor_matches(joined: Joined, background: Background, angle: float) -> tu
         share = background.regularity(angle).shares(i[order], j[order], at, along, rate)
         densities += float(density[1:].sum()) / 2
         regular -= float(np.log1p(share * np.exp(density) / rate)[1:].sum()) / 2
+        regular -= float((share * background.both1[i[order]])[1:].sum()) / 2
     return float(worth.sum()) + densities, regular
 
 

@@ -144,7 +144,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
         compass=compass,
     )
     hits = np.concatenate([background.recorded1[joined.i], background.recorded2[joined.j]])
-    gone = np.concatenate([background.recorded1[way.missed1], background.recorded2[way.missed2]])
+    gone = 1 - np.concatenate([background.unseen1[way.missed1], background.unseen2[way.missed2]])
     return Weighed(
         growth,
         terms,

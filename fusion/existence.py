@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .background import false_alarm
 from .prepared import PreparedMap
 
 #: Corridor [m] within which a second robot's false alarm would be taken for the same landmark.
@@ -26,9 +25,9 @@ def existence(
     """
     odds = against - (len(seen) - 1) * math.log(min(max(rate * MATCH_LENGTH_M, 1e-6), 1.0))
     for m, k in seen:
-        fa = min(max(false_alarm(m, k), 1e-9), 1 - 1e-9)
+        fa = float(m.false[k])
         odds += math.log(1 - fa) - math.log(fa)
     type_ = seen[0][0].map.types[seen[0][1]]
     for m in passed_by:
-        odds += math.log(max(1 - m.map.noise.detection(type_), 1e-9))
+        odds += math.log(max((1 - m.map.noise.detection(type_)) * m.goes_straight(type_), 1e-9))
     return 1 / (1 + math.exp(-min(max(odds, -700.0), 700.0)))

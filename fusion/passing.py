@@ -28,8 +28,10 @@ END_MARGIN_M = 1.0
 class Passing:
     """Who passed what: places of unmatched landmarks that the other robot passed, and blocked arms driven through.
 
-    ``blocked``: how many blocked arms were driven through. ``through1`` (n1,), ``through2`` (n2,): the same of each
-    landmark, where a corner that the other robot drove straight across counts as one at least, whatever its arms.
+    ``blocked``: how many blocked arms of matched landmarks were driven through. ``through1`` (n1,), ``through2`` (n2,):
+    the same of each landmark, where a corner that the other robot drove straight across counts as one at least,
+    whatever its arms. ``clash1``, ``clash2`` (c,): places of unmatched corners and junctions of map 1, map 2 that stand
+    at one place although they are of different types.
     ``crossed``: how many corridors of either map cross one of the other where neither has a landmark.
     ``overlap`` [m]: corridor that both travelled; ``area_overlap`` [m^2]: where both would have seen points.
     """
@@ -39,6 +41,8 @@ class Passing:
     blocked: int
     through1: Index
     through2: Index
+    clash1: Index
+    clash2: Index
     crossed: int
     overlap: float
     area_overlap: float
@@ -69,7 +73,7 @@ def passing_at(
     inside1, inside2 = passed(p2, s1, width, END_MARGIN_M), passed(p1, s2, width, END_MARGIN_M)
     through2 = through(inside1, m2.arm_headings, m2.arm_passable, float(T12[2]), s1.start, s1.end, angle)
     through1 = through(inside2, m1.arm_headings, m1.arm_passable, 0.0, s2.start, s2.end, angle)
-    blocked = int(through1.sum() + through2.sum())
+    blocked = int(through1[matched[0]].sum() + through2[matched[1]].sum())
     through1 = np.maximum(through1, background.corners1 & inside2.any(axis=1))
     through2 = np.maximum(through2, background.corners2 & inside1.any(axis=1))
     by1: NDArray[np.bool_] = np.asarray(passed(p2, s1, width).any(axis=1))
@@ -84,18 +88,58 @@ def passing_at(
     by2[matched[0]], by1[matched[1]] = False, False
     overlap = overlap_length(s1, s2, width, angle)
     crossed = len(bare_crossings(s1, s2, np.concatenate([p1, p2])))
+    clash1, clash2 = _clashes(background, p1, p2, matched, width)
     missed1, missed2 = np.flatnonzero(by2), np.flatnonzero(by1)
-    return Passing(missed1, missed2, blocked, through1, through2, crossed, overlap, area_overlap)
+    return Passing(missed1, missed2, blocked, through1, through2, clash1, clash2, crossed, overlap, area_overlap)
+
+
+def _clashes(
+    background: Background, p1: Array, p2: Array, matched: tuple[Index, Index], width: float
+) -> tuple[Index, Index]:
+    """Unmatched corners and junctions of both maps that stand within ``width`` [m] of one of the other type, nearest
+    first, each in one pair at most."""
+    free1, free2 = background.spatial1.copy(), background.spatial2.copy()
+    free1[matched[0]], free2[matched[1]] = False, False
+    i, j = np.flatnonzero(free1), np.flatnonzero(free2)
+    apart = np.hypot(*(p1[i, None] - p2[None, j]).transpose(2, 0, 1))
+    apart[background.corners1[i, None] == background.corners2[None, j]] = np.inf
+    found: list[tuple[int, int]] = []
+    while apart.size and apart.min() < width:
+        a, b = np.unravel_index(int(np.argmin(apart)), apart.shape)
+        found.append((int(i[a]), int(j[b])))
+        apart[a, :], apart[:, b] = np.inf, np.inf
+    pairs = np.array(found, dtype=np.intp).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
 
 
 def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float, float]:
     """Misses, void, arms and crossings [nats]: what is said by what two robots did not see of each other's maps."""
-    misses = np.log1p(-background.recorded1[way.missed1]).sum() + np.log1p(-background.recorded2[way.missed2]).sum()
+    sides = (
+        (background.m1.false, background.unseen1, way.missed1, way.through1),
+        (background.m2.false, background.unseen2, way.missed2, way.through2),
+    )
+    misses, arms = 0.0, per_arm(config) * way.blocked
+    false, unseen = [], []
+    for wrong, either, missed, through in sides:
+        # a landmark that isn't there says nothing of its arms
+        seen = np.log(either)
+        driven = np.log(wrong + np.exp(per_arm(config) * through) * np.maximum(either - wrong, 0.0))
+        misses += float(seen[missed].sum())
+        arms += float((driven - seen)[missed].sum())
+        false.append(wrong)
+        unseen.append(np.exp(driven))
+    if len(way.clash1):
+        # two robots were there, and one of them is wrong: all cases but that both are right
+        counted1, counted2 = np.isin(way.clash1, way.missed1), np.isin(way.clash2, way.missed2)
+        f1, f2 = false[0][way.clash1], false[1][way.clash2]
+        u1, u2 = unseen[0][way.clash1], unseen[1][way.clash2]
+        one_wrong = np.log(u1 * u2 - (u1 - f1) * (u2 - f2))
+        misses += float((one_wrong - counted1 * np.log(u1) - counted2 * np.log(u2)).sum())
     void = background.common * way.overlap
     if way.area_overlap:
         void += background.area_common * way.area_overlap
     crossings = per_crossing(background) * way.crossed if way.crossed else 0.0
-    return float(misses), float(void), per_arm(config) * way.blocked, crossings
+    return misses, float(void), float(arms), crossings
 
 
 def per_crossing(background: Background) -> float:

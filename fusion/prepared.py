@@ -17,12 +17,13 @@ from scipy.spatial import cKDTree
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import wrap as turned
 from mapfuse.datasets.errors import TooLargeError
-from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
+from mapfuse.datasets.maps import CORNER, Landmark, LandmarkMap, Link
 from mapfuse.factors import is_bent, single_map_problem
 from mapfuse.factors.axes import wrapped
 from mapfuse.factors.heading import heading_is_joint, headings_of, signatures_of
 
 from .config import SolvingConfig
+from .credibility import false_by_own_map, stated_false, straight_on
 from .solve import Solution, solve
 
 Array = NDArray[np.float64]
@@ -84,6 +85,30 @@ class PreparedMap:
     def has_arms(self) -> NDArray[np.bool_]:
         """Which landmarks have arms whose direction is known (n,)."""
         return np.asarray(~np.isnan(self.arm_headings).all(axis=1))
+
+    @property
+    def false(self) -> Array:
+        """Probability that each recorded landmark isn't there, by this map alone (n,).
+
+        Where the map states the existence of one, that is it.
+        """
+        return self._believed[0]
+
+    def goes_straight(self, kind: str) -> float:
+        """Share of the landmarks of a kind, of those its robot passes, that it drives straight through.
+
+        1 for corners: driving straight across one contradicts its arms, which is counted where these are.
+        """
+        return 1.0 if kind == CORNER else self._believed[1].get(kind, 1.0)
+
+    @cached_property
+    def _believed(self) -> tuple[Array, dict[str, float]]:
+        stated = np.array([stated_false(self.map, k) for k in range(len(self))], dtype=float)
+        settled = np.array([landmark.existence is not None for landmark in self.map.landmarks], dtype=bool)
+        ways = straight_on(self.arm_headings, self.arm_passable, self.arm_travelled)
+        false, shares = false_by_own_map(stated, self.map.types, settled, *ways)
+        armed = {self.map.types[k] for k in np.flatnonzero(self.has_arms)}
+        return false, {kind: share for kind, share in shares.items() if kind in armed}
 
     @cached_property
     def arms_in_covariance(self) -> Array:

@@ -66,7 +66,10 @@ class Gaps:
         pairs, distance, origin, exposure = evidence_kernels().gaps(
             m.positions, m.corridors, REACH_M, float(np.cos(angle))
         )
-        return cls(pairs, distance, origin, exposure, label, spatial)
+        # what rather isn't there says nothing of the building's style
+        there = m.false < 0.5
+        both, starts = there[pairs].all(axis=1), there[origin]
+        return cls(pairs[both], distance[both], origin[starts], exposure[starts], label, spatial)
 
     @cached_property
     def start(self) -> Index:

@@ -108,7 +108,7 @@ class SelfMatch:
         # two points can always be laid on each other's images, nearly
         told = slice(0 if m.headed[matched[0]].any() else 2, None)
         hits = np.concatenate([b.recorded1[matched[0][told]], b.recorded2[matched[1][told]]])
-        return hits, np.concatenate([b.recorded1[missed[0]], b.recorded2[missed[1]]])
+        return hits, 1 - np.concatenate([b.unseen1[missed[0]], b.unseen2[missed[1]]])
 
     def _grown(self, motion: Array) -> Growth | None:
         """The map matched with itself, from the landmarks that lie nearest to one of their kind; None without any."""

@@ -18,6 +18,7 @@ from mapfuse.factors import correspondence
 from mapfuse.fusion import (
     background,
     coverage,
+    credibility,
     decide,
     evidence,
     existence,
@@ -97,23 +98,25 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
     weighed = evidence.weigh(Growth(joined, 1), Background(m1, m2), config)
 
     length = 24.0
-    fa1, fa2, door_fa1, door_fa2 = 0.2**2, 0.1, 0.05**2, 0.03
-    spatial, door = (1 - fa1) / 0.8 + (1 - fa2) / 0.7, ((1 - door_fa1) / 0.9, (1 - door_fa2) / 0.85)
-    nu = {"corner": 2 * spatial / 48, "junction": spatial / 48, "door": sum(door) / 48}
+    (fa1, through1), (fa2, through2), door_fa1, door_fa2 = believed(0.2**2), believed(0.1), 0.05**2, 0.03
+    corner, junction = ((1 - a) / 0.8 + (1 - b) / 0.7 for a, b in ((fa1, fa2), (through1, through2)))
+    door = ((1 - door_fa1) / 0.9, (1 - door_fa2) / 0.85)
+    nu = {"corner": 2 * corner / 48, "junction": junction / 48, "door": sum(door) / 48}
     # from the junction at 15 to the corner at 24, then from both of them to the corner at 0
     place = 0.05**2
     v9 = (0.1 + 0.02 * 9) ** 2 + (0.1 + 0.03 * 9) ** 2
     v15 = (0.1 + 0.02 * 15) ** 2 + (0.1 + 0.03 * 15) ** 2
     first, second = 2 * place + v9, v15 + place + 1 / (1 / place + 1 / (place + v9))
     densities = -0.5 * np.log(2 * np.pi * first) - 0.5 * np.log(2 * np.pi * second)
-    detections = 3 * np.log((1 - fa1) * (1 - fa2))
+    detections = 2 * np.log((1 - fa1) * (1 - fa2)) + np.log((1 - through1) * (1 - through2))
     clutter = 3 * np.log(4) - 2 * np.log(nu["corner"]) - np.log(nu["junction"])
     expected = {
         "prior": np.log(length / (2 * length * length)) - config.look_elsewhere,
         "matches": detections + clutter + densities,
         "points": 0.0,
         "regular": 0.0,
-        "misses": np.log(1 - (1 - door_fa1) * 0.85) + np.log(1 - (1 - door_fa2) * 0.9),
+        # nobody went on from a door: half of the robots that pass one are taken to go straight on
+        "misses": np.log(door_fa1 + (1 - door_fa1) * 0.15 / 2) + np.log(door_fa2 + (1 - door_fa2) * 0.1 / 2),
         "void": length * ((nu["corner"] + nu["junction"]) * 0.8 * 0.7 + nu["door"] * 0.9 * 0.85),
         "arms": 0.0,
         "crossings": 0.0,
@@ -124,6 +127,16 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
     }
     found = {field.name: getattr(weighed.terms, field.name) for field in fields(weighed.terms)}
     assert found == pytest.approx(expected, abs=2e-3)
+
+
+def believed(fa):
+    """False are, of two corners at which the corridor ends, each, and a junction that was driven straight through."""
+    corners, junctions = 0.05, 0.5  # the shares that are driven straight through
+    for _ in range(100):
+        corner, junction = fa / (1 - fa) * 0.05 / (1 - corners), fa / (1 - fa) * 0.95 / junctions
+        corners = 0.05 * 10 / (2 / (1 + corner) + 10)
+        junctions = (1 / (1 + junction) + 0.5 * 2) / (1 / (1 + junction) + 2)
+    return corner / (1 + corner), junction / (1 + junction)
 
 
 def straight_corridor(name, noise, start, door, detections):
@@ -279,7 +292,7 @@ def test_another_floor_of_one_plan_as_stated():
 
 def seen_once(type_="corner", fa=0.2, d=0.81):
     noise = Noise(detection_rate=d, false_alarm_rate=fa)
-    return SimpleNamespace(map=LandmarkMap("m", (Landmark("c", type_, 0.0, 0.0),), noise=noise))
+    return prepare(LandmarkMap("m", (Landmark("c", type_, 0.0, 0.0),), noise=noise), SolvingConfig())
 
 
 def test_existence_is_bayes_for_rare_landmarks():
@@ -319,7 +332,7 @@ def test_mixture_covariance_is_that_of_draws_from_themixture():
 
 def test_every_number_stands_as_in_the_code():
     stated = re.findall(r"^\| `(\w+)` \| ([\d., ]+) \|", EVIDENCE, flags=re.MULTILINE)
-    weighing = (background, coverage, evidence, existence, passing, regularity, repetition)
+    weighing = (background, coverage, credibility, evidence, existence, passing, regularity, repetition)
     modules = (*weighing, correspondence, growth, known, result)
     places = (EvidenceConfig(), DecisionConfig(), SolvingConfig(), *modules)
     for name, value in stated:

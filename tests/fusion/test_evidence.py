@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal, norm
 from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
 from mapfuse.datasets.simulation import simulated_pair
-from mapfuse.fusion.background import Background, false_alarm
+from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.coverage import SeenArea, Segments, overlap_length, passed
 from mapfuse.fusion.elastic import PRIOR_SIGMA, Joined
@@ -24,6 +24,17 @@ CONFIG, SOLVING = EvidenceConfig(), SolvingConfig()
 LENGTH = 20.0
 #: Both robots' rates for corners and junctions, and doors (the defaults of the format).
 PD, FA, DOOR_PD, DOOR_FA = 0.81, 0.2, 0.92, 0.03
+
+
+def false_end(count):
+    """Probability that one of so many recorded ends of corridors isn't there, by hand: odds of 1 to 4 before it is seen
+    that the corridor ends there, which it does at 0.05 of false ones and, but for the share s, at true ones; s as if of
+    ten corners before one in twenty hadn't."""
+    share = 0.05
+    for _ in range(100):
+        odds = FA / (1 - FA) * 0.05 / (1 - share)
+        share = 0.5 / (count / (1 + odds) + 10)
+    return odds / (1 + odds)
 
 
 def end(id_, x, heading, to=None, distance=None, compass=None, **more):
@@ -54,15 +65,17 @@ BOTH_ENDS = (("west", "west"), ("east", "east"))
 
 def test_a_corridor_that_both_robots_recorded_alike():
     terms = weighed(corridor("one"), corridor("two"), BOTH_ENDS).terms
-    # 4 ends in 40 m of corridor: of those recorded 0.8 are there, and of those there 0.81 are recorded
-    rate = 4 * (1 - FA) / PD / (2 * LENGTH)
+    # 4 ends in 40 m of corridor: nearly all of those recorded are there, and of those there 0.81 are recorded
+    fa = false_end(2)
+    assert 0.01 < fa < 0.02
+    rate = 4 * (1 - fa) / PD / (2 * LENGTH)
     # T12: a stretch of 20 m of 20 m on one of 20 m, in one of two directions, and many were tried
     assert terms.prior == pytest.approx(np.log(LENGTH / (2 * LENGTH * LENGTH)) - CONFIG.look_elsewhere)
     # the second end: 0 m off along the corridor. Each map's length has sigma 0.1 + 0.02 * 20 (one reading, since it
     # stands equal at both ends), and at each end the robots mean the same place to 0.05 m
     along = norm.logpdf(0.0, scale=np.sqrt(2 * 0.5**2 + 2 * 0.05**2))
     # each match: both are there, it lies in one of an end's two orientations, against the density of ends
-    assert terms.matches == pytest.approx(2 * (2 * np.log(1 - FA) + np.log(2) - np.log(rate)) + along, abs=1e-3)
+    assert terms.matches == pytest.approx(2 * (2 * np.log(1 - fa) + np.log(2) - np.log(rate)) + along, abs=1e-3)
     # one corridor is no rhythm
     assert terms.regular == 0
     assert terms.void == pytest.approx(rate * PD * PD * LENGTH, rel=1e-6)
@@ -126,33 +139,37 @@ def test_false_alarms_by_counter_by_existence_and_never_certain():
         Landmark("e", "tree", 9.0, 8.0, existence=1.0),
     )
     m = prepare(LandmarkMap("m", landmarks), SOLVING)
-    assert false_alarm(m, 0) == pytest.approx(0.2**3)
-    assert false_alarm(m, 1) == pytest.approx(0.2)
-    assert false_alarm(m, 2) == pytest.approx(0.4)
-    assert 0 < false_alarm(m, 4) < 1e-6
-    assert 0 < 1 - false_alarm(m, 3) < 1e-6
+    assert m.false[0] == pytest.approx(0.2**3)
+    assert m.false[1] == pytest.approx(0.2)
+    assert m.false[2] == pytest.approx(0.4)
+    assert 0 < m.false[4] < 1e-6
+    assert 0 < 1 - m.false[3] < 1e-6
 
 
 def test_a_blocked_arm_that_the_other_robot_drove_through():
     walls = (Link("blocked", 0.0), Link("open", np.pi / 2), Link("open", -np.pi / 2))
     across = Landmark("x", "junction", 8.0, 0.0, links=walls)
-    per_arm = np.log(CONFIG.arm_error_rate / 0.5)
+    # it isn't there, or it is, wasn't recorded, and each wall is one arm that was sensed wrongly
+    gone, unseen, wrongly = FA, (1 - FA) * (1 - PD), CONFIG.arm_error_rate / 0.5
+    per_arm, both_arms = (np.log((gone + unseen * wrongly**n) / (gone + unseen)) for n in (1, 2))
     for one, two in ((corridor("one"), corridor("two", across)), (corridor("one", across), corridor("two"))):
         found = weighed(one, two, BOTH_ENDS)
         assert found.terms.arms == pytest.approx(per_arm)
         # walls both ways are two arms
         both = Landmark("x", "junction", 8.0, 0.0, links=(*walls, Link("blocked", np.pi)))
         again = (corridor("one", both), two) if one.map.ids[-1] == "x" else (one, corridor("two", both))
-        assert weighed(*again, BOTH_ENDS).terms.arms == pytest.approx(2 * per_arm)
+        assert weighed(*again, BOTH_ENDS).terms.arms == pytest.approx(both_arms)
 
 
 def test_a_corner_that_the_other_robot_drove_straight_across_is_hardly_one():
-    # nothing of its arms says so: they are open along the way. Only its existence is told; what arms contradict isn't.
+    # its arms are open along the way: that it is called a corner counts as one that isn't
     ways = (Link("open", 0.0), Link("open", np.pi))
     for type_, through in (("corner", 1), ("junction", 0)):
         found = weighed(corridor("one", Landmark("x", type_, 8.0, 0.0, links=ways)), corridor("two"), BOTH_ENDS)
         assert (found.missed1, found.through1, found.through2) == ((2,), (through,), ())
-        assert found.terms.arms == 0
+        wrongly = (CONFIG.arm_error_rate / 0.5) ** through
+        unseen = (1 - FA) * (1 - PD)
+        assert found.terms.arms == pytest.approx(np.log((FA + unseen * wrongly) / (FA + unseen)))
     # within a metre of the end the link may turn there
     near = weighed(corridor("one", Landmark("x", "corner", 0.5, 0.0, links=ways)), corridor("two"), BOTH_ENDS)
     assert (near.missed1, near.through1) == ((2,), (0,))
@@ -192,12 +209,36 @@ def test_a_robot_that_crossed_its_own_way_says_that_crossings_need_not_be_marked
     assert Background(corridor("one", south, north), corridor("two")).bridges == pytest.approx(1.2 / 11)
 
 
+@pytest.mark.parametrize("apart", [0.3, 0.9, 1.4])
+def test_a_corner_and_a_junction_at_one_place_are_not_both_there(apart):
+    # neither is linked, so that each is as credible as the noise says, and neither robot went straight through any
+    one = corridor("one", Landmark("c", "corner", 8.0, 0.0, links=(Link("open", 1.57),)))
+    two = corridor("two", Landmark("j", "junction", 8.0 + apart, 0.0, links=(Link("open", 1.57),)))
+    found = weighed(one, two, BOTH_ENDS)
+    assert (found.missed1, found.missed2) == ((2,), (2,))
+    wrongly = CONFIG.arm_error_rate / 0.5  # robot 2 drove straight across the corner
+    there1, there2 = (1 - FA) * (1 - PD) * wrongly, (1 - FA) * (1 - PD)
+    both = np.log((FA + there1) * (FA + there2))
+    if apart < CONFIG.corridor_width_m:
+        both = np.log(FA * FA + FA * there1 + FA * there2)
+    assert found.terms.misses + found.terms.arms == pytest.approx(both)
+    swapped = weighed(two, one, BOTH_ENDS).terms
+    assert swapped.misses + swapped.arms == pytest.approx(both)
+
+
 def test_arms_that_contradict_at_a_matched_landmark():
     opened = end("west", 0.0, 0.0, "east", LENGTH)
     opened = Landmark("west", "corner", 0.0, 0.0, links=(*opened.links[:1], Link("open", np.pi / 2), *opened.links[2:]))
     two = prepare(LandmarkMap("two", (opened, end("east", LENGTH, np.pi, "west", LENGTH))), SOLVING)
     found = weighed(corridor("one"), two, BOTH_ENDS)
     assert found.terms.arms == pytest.approx(np.log(CONFIG.arm_error_rate / 0.5))
+    # and they don't lie on their corridor the same way: that one of two orientations agrees isn't credited
+    one = Background(corridor("one"), two)
+    least = sum(one.there1) + sum(one.there2) - np.log(one.rates1).sum()
+    along = norm.logpdf(0.0, scale=np.sqrt(2 * 0.5**2 + 2 * 0.05**2))
+    assert found.terms.matches == pytest.approx(least + np.log(2) + one.rarity1[1] + along, abs=2e-3)
+    # of four recorded ends three are ends and one is a corner, and two more of each are thought of
+    assert np.exp(-one.rarity1[1]) == pytest.approx((3 + 2) / (4 + 2), rel=0.01)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.3, 1.5, np.pi])

@@ -1,0 +1,88 @@
+"""How far a recorded landmark is to be believed: what its own map says of it, before any other robot looks.
+
+A robot takes for a landmark what isn't one while it drives along a corridor, so that a false one lies on a corridor
+which goes straight on there. Where the robot turned off, or where no corridor goes on, something is
+(docs/evidence.md, "How far a landmark is to be believed").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapfuse.datasets.arms import ARM_TOLERANCE
+from mapfuse.datasets.maps import CORNER, LandmarkMap
+from mapfuse.datasets.se2 import wrap
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Probability that the corridor is taken for one that ends or turns where it goes straight on, or the reverse.
+BEND_ERROR_RATE = 0.05
+#: As if so many true corners, all of which bend but for `BEND_ERROR_RATE`, had been seen before; and of any other kind
+#: two landmarks, one of which bends.
+CORNERS_BEFORE, OTHERS_BEFORE = 10.0, 2.0
+#: Rounds of estimating how many true landmarks of a kind stand where a corridor goes straight on; it converges.
+_ROUNDS = 30
+
+
+def stated_false(map_: LandmarkMap, k: int) -> float:
+    """Probability that a recorded landmark isn't there by what the map states: the robot's rate to the power of the
+    detections, or the map's own `existence`.
+
+    Never quite 0 or 1, whatever the map states: no evidence is infinite.
+    """
+    landmark = map_.landmarks[k]
+    if landmark.existence is not None:
+        rate = 1 - landmark.existence
+    else:
+        rate = map_.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
+    return min(max(rate, 1e-9), 1 - 1e-9)
+
+
+def straight_on(arm_headings: Array, passable: Flags, travelled: Flags) -> tuple[Flags, Flags]:
+    """Of each landmark (n,) whether its robot drove straight through it, and whether it turned or came to an end there.
+
+    Straight through: all arms it travelled lie on one line, open to both sides. Neither, where no arm was travelled,
+    or where it isn't known what is opposite the only one that was. Arms as in `mapfuse.fusion.prepared.PreparedMap`.
+
+    >>> heading = np.array([[0.0, np.pi / 2, np.pi, np.nan]])
+    >>> on, bends = straight_on(heading, np.array([[True, False, True, False]]), np.array([[True, False, True, False]]))
+    >>> bool(on[0]), bool(bends[0])
+    (True, False)
+    """
+    sensed = ~np.isnan(arm_headings)
+    ways = travelled & sensed
+    apart = np.abs(wrap(arm_headings[:, :, None] - arm_headings[:, None, :]))
+    opposite = apart > np.pi - ARM_TOLERANCE  # false for an arm that wasn't sensed
+    in_line = opposite | (apart < ARM_TOLERANCE)
+    turned = (ways[:, :, None] & ways[:, None, :] & ~in_line).any(axis=(1, 2))
+    known = ways[:, :, None] & opposite & sensed[:, None, :]
+    ended = (known & ~(passable | travelled)[:, None, :]).any(axis=(1, 2))
+    bends = turned | ended
+    return np.asarray(known.any(axis=(1, 2)) & ~bends), np.asarray(bends)
+
+
+def false_by_own_map(
+    stated: Array, kinds: tuple[str, ...], settled: Flags, on: Flags, bends: Flags
+) -> tuple[Array, dict[str, float]]:
+    """Probability (n,) that each landmark isn't there, given how the corridor goes on at it; and of each kind the share
+    of true ones that their robot drove straight through.
+
+    ``stated`` (n,): before that is looked at; ``settled`` (n,): which are taken as stated, whatever the corridor does.
+    Bayes for each kind, with the share of its true landmarks at which the corridor goes straight on estimated from the
+    map itself, each one counting as far as it is believed.
+    """
+    false, shares = stated.copy(), dict[str, float]()
+    for kind in sorted(set(kinds)):
+        of = np.array([other == kind for other in kinds]) & (on | bends)
+        before, first = (CORNERS_BEFORE, BEND_ERROR_RATE) if kind == CORNER else (OTHERS_BEFORE, 0.5)
+        straight, share = on[of], first
+        seen = np.where(straight, 1 - BEND_ERROR_RATE, BEND_ERROR_RATE)
+        for _ in range(_ROUNDS):
+            told = np.where(settled[of], 1.0, seen / np.where(straight, share, 1 - share))
+            odds = stated[of] / (1 - stated[of]) * told
+            there = 1 / (1 + odds)
+            share = float((there[straight].sum() + first * before) / (there.sum() + before))
+        false[of], shares[kind] = odds / (1 + odds), share
+    return np.clip(false, 1e-9, 1 - 1e-9), shares
