@@ -26,6 +26,8 @@ def reason(verdict: Verdict, swapped: bool) -> str:
         return f"{evidence}{rival}"
     if verdict.decision == "ambiguous":
         return f"not decided: {_open(verdict)}; the best one has {evidence}{rival}"
+    if floor := _floor(verdict):
+        return f"no overlap{floor}; the best placement has {evidence}"
     return f"no placement stands out; the best one has {evidence}"
 
 
@@ -35,9 +37,12 @@ def _open(verdict: Verdict) -> str:
     placements = f"{possible} placements are possible" if possible != 1 else "one placement is possible"
     if verdict.no_overlap < POSSIBLE:
         return placements
-    # half of what "no overlap" weighs
-    floor = ", as on two floors built to one plan" if verdict.alike > math.log(2) else ""
-    return f"{placements}, and no overlap has {verdict.no_overlap:.3f}{floor}"
+    return f"{placements}, and no overlap has {verdict.no_overlap:.3f}{_floor(verdict)}"
+
+
+def _floor(verdict: Verdict) -> str:
+    """Words for floors that are alike, where these are half of what "no overlap" weighs."""
+    return ", as on two floors built to one plan" if verdict.alike > math.log(2) else ""
 
 
 def _listed(names: list[str]) -> str:
