@@ -34,7 +34,8 @@ from mapfuse.datasets import se2
 from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.simulation.pairs import TEST_SEEDS, TUNING_SEEDS
 from mapfuse.matching import Hypothesis, MatchingConfig, propose
-from mapfuse.matching.voting import SETTINGS, Settings, propose_by_votes
+from mapfuse.matching.settings import SETTINGS, Settings
+from mapfuse.matching.voting import propose_by_votes
 
 HERE = Path(__file__).resolve().parent
 Matcher = Callable[[LandmarkMap, LandmarkMap], list[Hypothesis]]
@@ -114,6 +115,7 @@ ABLATION: dict[str, Settings] = {
     "everything": SETTINGS,
     "arms not compared": replace(SETTINGS, arm=0.0, contradiction=0.0),
     "no misses and no void (matches alone)": replace(SETTINGS, against=False),
+    "no charge for repetition": replace(SETTINGS, repeats=False),
     "no growth of tolerance with distance": replace(SETTINGS, grow=False),
     "no alignment (candidates as they are)": replace(SETTINGS, looseness=0.0, refine=False),
     "one rotation mode only": replace(SETTINGS, modes=1, direct=0),

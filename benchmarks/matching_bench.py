@@ -34,7 +34,7 @@ from mapfuse.matching.exhaustive import match_exhaustively
 from mapfuse.matching.landmark_arrays import landmark_arrays
 from mapfuse.matching.point_pairs import match_point_pairs
 from mapfuse.matching.propose import propose
-from mapfuse.matching.voting import SETTINGS
+from mapfuse.matching.settings import SETTINGS
 
 TRUE_T12 = np.array([12.0, -7.0, 0.8])
 

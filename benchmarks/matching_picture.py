@@ -19,7 +19,8 @@ from matching_floors import FloorPair, pair_of_maps
 from mapfuse.datasets import se2
 from mapfuse.matching import MatchingConfig, propose
 from mapfuse.matching.landmark_arrays import landmark_arrays
-from mapfuse.matching.voting import SETTINGS, Pair, Settings
+from mapfuse.matching.settings import SETTINGS, Settings
+from mapfuse.matching.voting import Pair
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "matching-vote.png"
 SEED = 12

@@ -87,7 +87,7 @@ class Seen(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Constants of `assess`: see `voting.Settings`."""
+    """Constants of `assess`: see `mapfuse.matching.settings`."""
 
     gate: float
     bend: float

@@ -6,7 +6,8 @@
    some hundreds of map 2's landmarks do. Small maps need no vote: each pair is a candidate.
 3. *Refinement*: the strongest peaks are matched one to one, aligned, and matched again.
 4. *Score*: log likelihood ratio against "these maps show different places": what matches, what doesn't although the
-   other robot passed it, and the emptiness that both agree on (docs/matching.md).
+   other robot passed it, and the emptiness that both agree on; less what the building's repetition wins everywhere
+   (docs/matching.md).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -23,13 +24,14 @@ from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.compiled import kernels
-from mapfuse.datasets.maps import DOOR, LandmarkMap
+from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.transform import Transform
 
 from .config import MatchingConfig
 from .hypothesis import Correspondences, Hypothesis
-from .landmark_arrays import LandmarkArrays, frozen, landmark_arrays, shared_labels
-from .travelled import Travelled
+from .landmark_arrays import LandmarkArrays, landmark_arrays, shared_labels
+from .scene import Assessed, Candidates, Scene
+from .settings import SETTINGS, Settings
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -50,92 +52,8 @@ def match_kernels() -> ModuleType:
     return kernels("_match_kernels", __package__, "the matcher")
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Constants of the search; bounds of its work first.
-
-    ``direct``: up to so many proposals are all tried without a vote. ``votes``: cast at most, by ``voters`` landmarks
-    of map 2 at least. ``cells``: of the grid of counters, 40 a landmark
-    between these bounds. ``peaks``: of each rotation mode; ``modes``: at most.
-    ``glance``: landmarks of map 2 by which all candidates are compared, ``refined``: how many of them remain.
-    ``sample``: landmarks by which these are refined where a map has more than ``full`` of them, and ``last``: how many
-    are then still compared by all landmarks, at least, however large the maps are; ``few``: how many remain of large
-    maps' after the glance, at least. Of more only those remain whose score is within ``behind`` [nats], times the root
-    of the number of landmarks compared by, of the best one's: so the error of a sum over landmarks grows.
-    ``ways``: how many places a robot's ways are sampled at. Maps of more than ``sorted`` landmarks are worked on in the
-    order of place.
-    ``cell_m`` [m]: of the grid. ``rotation_width`` [rad]: of a mode. ``looseness`` [rad]: by how much a candidate's
-    rotation may be off. ``gate``: standard deviations. ``arm``, ``contradiction`` [nats]: for each arm that meets one
-    of the same or of the other passability. ``least_gain`` [nats]: of a match. To measure what they are worth:
-    ``against``: charge misses and credit the void; ``grow``: tolerance with distance; ``refine``: align.
-    """
-
-    direct: int = 2048
-    votes: int = 200_000
-    voters: int = 200
-    cells: tuple[int, int] = (100_000, 2_000_000)
-    peaks: int = 48
-    modes: int = 32
-    glance: int = 64
-    refined: int = 80
-    sample: int = 300
-    full: int = 400
-    last: int = 8
-    few: int = 8
-    behind: float = 4.0
-    ways: int = 1500
-    sorted: int = 2000
-    cell_m: float = 1.5
-    rotation_width: float = 0.12
-    looseness: float = 0.04
-    gate: float = 3.0
-    most_sigma_m: float = 1.5
-    arm: float = 0.5
-    contradiction: float = 3.5
-    least_gain: float = -1.0
-    against: bool = True
-    grow: bool = True
-    refine: bool = True
-
-
-SETTINGS = Settings()
-
-
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """T12s (k, 3) and where in frame 2 each is known best (k, 2)."""
-
-    T12s: Array
-    centres: Array
-
-    def __len__(self) -> int:
-        return len(self.T12s)
-
-    def taken(self, places: Indices) -> Candidates:
-        """Some of them."""
-        return Candidates(self.T12s.take(places, axis=0), self.centres.take(places, axis=0))
-
-
-@dataclass(frozen=True, eq=False)
-class Assessed:
-    """Candidates matched and scored: ``score`` (k,) [nats], ``count`` (k,), ``partner`` (k, n2) in map 1 or -1,
-    ``seed`` (k,): landmark of map 2 with the surest match, or -1."""
-
-    candidates: Candidates
-    score: Array
-    count: NDArray[np.int32]
-    partner: NDArray[np.int32]
-    seed: NDArray[np.int32]
-
-    def followed_by(self, other: Assessed) -> Assessed:
-        """Both, one after the other."""
-        T12s = np.concatenate([self.candidates.T12s, other.candidates.T12s])
-        centres = np.concatenate([self.candidates.centres, other.candidates.centres])
-        columns = [
-            np.concatenate([getattr(side, name) for side in (self, other)])
-            for name in ("score", "count", "partner", "seed")
-        ]
-        return Assessed(Candidates(T12s, centres), *columns)
+#: Hypotheses behind the first that say how much the building repeats, and what [nats] the best of many wins by luck.
+RIVALS, LUCK = 5, 6.0
 
 
 def propose_by_votes(
@@ -173,8 +91,11 @@ def assessed(
     Both maps have landmarks.
     """
     pair = Pair(landmark_arrays(map1), landmark_arrays(map2), config)
+    proposed = pair.proposals()
+    repetition = pair.ranked(proposed).repetition if len(proposed) else 0.0
     found = pair.refined(Candidates(T12.array[None], pair.two.xy.mean(axis=0)[None]))
-    return Transform(*found.candidates.T12s[0].tolist()), float(found.score[0]), int(found.count[0])
+    count = int(found.count[0])
+    return Transform(*found.candidates.T12s[0].tolist()), float(found.score[0]) - repetition * count, count
 
 
 class Pair:
@@ -277,7 +198,7 @@ class Pair:
 
         Large maps: compared by ever more of map 2's landmarks, ever fewer of them.
         """
-        settings, scene = self.settings, _Scene(self)
+        settings, scene = self.settings, Scene(self)
         loose = settings.looseness
         if len(candidates) > 3 * settings.refined // 2:
             part = scene.part(settings.glance)
@@ -303,14 +224,17 @@ class Pair:
         score = found.score + self._compass(found.candidates.T12s[:, 2])
         order = _best_first(score, found.candidates.T12s)
         order = order[found.count[order] > 0]
-        kept = order[self._distinct(found.candidates.taken(order), self.config.tolerance_m, self.config.max_hypotheses)]
+        kept = order[self._distinct(found.candidates.taken(order), self.config.tolerance_m, len(order))]
+        repetition = repetition_of(score[kept], found.count[kept]) if settings.repeats else 0.0
+        score = score - repetition * found.count
+        kept = kept[_best_first(score[kept], found.candidates.T12s[kept])][: self.config.max_hypotheses]
         partner, seed = scene.in_map_order(found, kept)
-        return Assessed(found.candidates.taken(kept), score[kept], found.count[kept], partner, seed)
+        return Assessed(found.candidates.taken(kept), score[kept], found.count[kept], partner, seed, repetition)
 
     def refined(self, candidates: Candidates) -> Assessed:
         """Candidates refined and scored, all of them, in their order."""
         loose = self.settings.looseness
-        found = _Scene(self).assess(candidates, (loose, loose / 3, 0.0))
+        found = Scene(self).assess(candidates, (loose, loose / 3, 0.0))
         return replace(found, score=found.score + self._compass(found.candidates.T12s[:, 2]))
 
     def _best(self, found: Assessed, limit: int, fewest: int, compared_by: int) -> tuple[Candidates, int]:
@@ -358,6 +282,26 @@ class Pair:
         ]
 
 
+def repetition_of(score: Array, count: NDArray[np.int32]) -> float:
+    """What each match [nats] is worth less where a building repeats.
+
+    Of distinct hypotheses, best first: ``score`` (k,) [nats], ``count`` (k,) of matches.
+
+    The score takes it for chance where landmarks stand. In a building that repeats, a wrong hypothesis meets many on
+    its lattice, and the more the larger its overlap. What those behind the first win with each match, beyond what the
+    best of many win by luck, isn't evidence for a place but for the building.
+
+    >>> repetition_of(np.array([60.0, 46.0, 45.0, 44.0]), np.array([20, 40, 39, 38]))
+    1.0
+    >>> repetition_of(np.array([60.0, 5.0, 4.0]), np.array([20, 4, 3]))
+    0.0
+    """
+    rivals = slice(1, 1 + RIVALS)
+    if len(score) < 2:
+        return 0.0
+    return max(0.0, float(np.median((score[rivals] - LUCK) / count[rivals])))
+
+
 def rotation_modes(votes: Array, width: float, limit: int) -> list[float]:
     """Peaks [rad] of a histogram over the circle, strongest first, until nearly all votes are within ``width`` of one.
 
@@ -385,152 +329,3 @@ def _best_first(score: Array, T12s: Array) -> Indices:
     if np.all(ordered[1:] > ordered[:-1]):
         return order
     return np.lexsort((*np.round(T12s.T, 6), worst_last))
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Some of map 2's landmarks, and some of the places where its robot was."""
-
-    side: Any
-    seen: Any
-
-
-class _Scene:
-    """Both maps as the kernels want them: what a match is worth, what a miss costs, and where the robots were."""
-
-    def __init__(self, pair: Pair) -> None:
-        one, two, settings = pair.one, pair.two, pair.settings
-        self.pair = pair
-        k = pair.kernels
-        way1, way2 = one.travelled, two.travelled
-        self.linear = way1.has_links and way2.has_links
-        rate1, rate2 = one.rates[self.linear], two.rates[self.linear]
-        # neighbours in space are neighbours in memory
-        self.sorted = max(len(one), len(two)) > settings.sorted
-        self.side1 = self._side(one, pair.label1, two)
-        self.side2 = self._side(two, pair.label2, one)
-        self.faced2 = self._seen_by(two, one), self.linear, self.sorted
-        self.by_isolation2 = two.isolation_by_place if self.sorted else two.by_isolation
-        void = _void(one, two, rate1, rate2, self.linear) * settings.against
-        self.seen1, self.seen2 = (self._seen(way, void) for way in (way1, way2))
-        least = one.largest_variance + two.largest_variance
-        most = max(least, min(settings.most_sigma_m**2, 16 * least))
-        self.rules = k.Rules(
-            settings.gate,
-            (one.bend + two.bend) * settings.grow,
-            most,
-            settings.arm,
-            settings.contradiction,
-            settings.least_gain,
-            float(np.hypot(max(one.noise.heading_sigma, 1e-3), max(two.noise.heading_sigma, 1e-3))),
-        )
-        reach = settings.gate * float(np.sqrt(most))
-        shared = pair.label1 is one.label
-        self.cells, self.crowd = one.kept(
-            # codes that the other map has a say in are another index
-            ("cells", reach, self.sorted) if shared else None,
-            lambda: _cells(k, self.side1.values, self.side1.label, reach),
-        )
-
-    @property
-    def cost(self) -> float:
-        """How many landmarks are looked at to assess one candidate once."""
-        return len(self.pair.two) * max(1.0, min(self.crowd, 256.0) / 3) + len(self.pair.one) / 4
-
-    def _side(self, own: LandmarkArrays, label: NDArray[np.int32], other: LandmarkArrays) -> Any:
-        faced = own.facing(self._seen_by(own, other), self.linear, self.sorted)
-        values = faced.values
-        if not self.pair.settings.against:
-            values = frozen(np.column_stack([values[:, :-1], np.zeros(len(own))]))
-        if self.sorted:
-            label = label[own.by_place]
-        return self.pair.kernels.Side(values, faced.arms, frozen(label), faced.linear)
-
-    @staticmethod
-    def _seen_by(own: LandmarkArrays, other: LandmarkArrays) -> tuple[float, ...]:
-        return tuple(other.noise.detection(name) for name in own.labels)
-
-    def _seen(self, way: Travelled, void: float) -> Any:
-        step = way.step if self.linear else 2 * way.step * way.width if way.has_links else way.step**2
-        every = -(-len(way.samples) // self.pair.settings.ways) or 1
-        samples = way.samples if every == 1 else frozen(way.samples[::every])
-        x, y = way.low.tolist()
-        return self.pair.kernels.Seen(x, y, 1 / way.size, way.cells, samples, 0.5 * void * step * every)
-
-    def in_map_order(self, found: Assessed, kept: Indices) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """`Assessed.partner` and `Assessed.seed` of some of what was found in the scene's order: places in the maps."""
-        if not self.sorted:
-            return found.partner[kept], found.seed[kept]
-        order1, order2 = self.pair.one.by_place, self.pair.two.by_place
-        partner = self.pair.kernels.in_map_order(found.partner, kept, order1, order2)
-        return partner, order2[found.seed[kept]].astype(np.int32)
-
-    def part(self, size: int) -> Part:
-        """``size`` of map 2's landmarks, evenly by how far each is from the next: wherever, in whatever order."""
-        two, ways, share = self.pair.two, self.seen2.samples, min(1.0, size / len(self.pair.two))
-        every = max(1, len(ways) // size)
-
-        def make() -> tuple[tuple[NDArray[Any], ...], Array]:
-            columns = tuple(self.side2)
-            if len(two) > size:
-                chosen = np.sort(self.by_isolation2[np.linspace(0, len(two) - 1, size).astype(np.intp)])
-                columns = tuple(frozen(values[chosen]) for values in columns)
-            return columns, frozen(ways[::every])
-
-        # codes that the other map has a say in make another part, as the measuring of misses does
-        own = self.pair.label2 is two.label and self.pair.settings.against
-        columns, samples = two.kept(("part", size, len(ways), *self.faced2) if own else None, make)
-        void = 2 * self.seen2.void * every * share
-        return Part(self.pair.kernels.Side(*columns), self.seen2._replace(samples=samples, void=void))
-
-    def assess(self, candidates: Candidates, looseness: tuple[float, ...], part: Part | None = None) -> Assessed:
-        """Candidates matched and aligned in turns, the last of which scores; see the kernel.
-
-        With a ``part`` of map 2 only what that lacks is charged, not what map 1 has more.
-        """
-        side2, seen2 = (self.side2, self.seen2) if part is None else (part.side, part.seen)
-
-        if not self.pair.settings.refine:
-            looseness = (0.0,)
-
-        def run(few: Candidates) -> Any:
-            return self.pair.kernels.assess(
-                few.T12s, few.centres, np.array(looseness), part is None,
-                self.side1, side2, self.cells, self.seen1, seen2, self.rules,
-            )  # fmt: skip
-
-        n_parts = min(self.pair.config.threads, len(candidates))
-        jobs = [candidates]
-        if n_parts > 1:
-            jobs = [candidates.taken(c) for c in np.array_split(np.arange(len(candidates)), n_parts)]
-        T12s, centres, score, count, partner, seed = (
-            np.concatenate(column) if len(column) > 1 else column[0]
-            for column in zip(*self.pair.each(run, jobs), strict=True)
-        )
-        return Assessed(Candidates(T12s, centres), score, count, partner, seed)
-
-
-def _void(one: LandmarkArrays, two: LandmarkArrays, rate1: Array, rate2: Array, linear: bool) -> float:
-    """What a metre of corridor (or a square metre) says [nats] on which both have been."""
-    total = 0.0
-    for k1, label in enumerate(one.labels):
-        if label in two.labels:
-            k2 = two.labels.index(label)
-            armed = label in ("corner", "junction", DOOR)
-            if armed or not linear:
-                both = one.noise.detection(label) * two.noise.detection(label)
-                total += float(np.sqrt(rate1[k1] * rate2[k2])) * both
-    return total
-
-
-def _cells(k: ModuleType, xy: Array, label: NDArray[np.int32], size: float) -> tuple[Any, float]:
-    """Points in cells as large as the widest gate, four million of them at most, and how many an occupied one lists."""
-    low, high = xy[:, :2].min(axis=0), xy[:, :2].max(axis=0)
-    extent = high - low
-    size = max(size, 1e-6, float(extent.max()) / 4000, float(np.sqrt(extent.prod() / 4_000_000)))
-    low = low - 2 * size
-    nx, ny = (int(e / size) + 5 for e in extent.tolist())
-    layers = int(max(1, min(int(label.max()) + 1, 4_000_000 // (nx * ny))))
-    start, members = k.sorted_into_cells(xy, label, 1 / size, nx, ny, layers, float(low[0]), float(low[1]))
-    crowd = len(members) / max(1, int(np.count_nonzero(np.diff(start))))
-    return k.Cells(float(low[0]), float(low[1]), 1 / size, nx, ny, layers, start, members), crowd

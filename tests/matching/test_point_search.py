@@ -116,13 +116,24 @@ def test_frame_order_and_swap_change_nothing_else(seed, n, labels, frame):
     assert len(back) == len(again) == len(found)
     if not found:
         return
-    best, swapped, turned = found[0], back[0], again[0]
-    np.testing.assert_allclose(swapped.T12.array, best.T12.inverse().array, atol=1e-9)
-    assert {(b, a) for a, b in swapped.correspondences} == set(best.correspondences)
-    assert swapped.score == pytest.approx(best.score, abs=1e-9)
-    off = se2.compose(turned.T12.array, np.array(frame)) - best.T12.array
-    np.testing.assert_allclose([*off[:2], se2.wrap(off[2])], 0, atol=1e-5)
-    assert set(turned.correspondences) == set(best.correspondences)
+    swapped, turned = back[0], again[0]
+    # two points fit either way round: of equals the frame decides which comes first
+    as_good = [h for h in found if h.score > found[0].score - 1e-6]
+    inverse, moved_back = swapped.T12.inverse().array, se2.compose(turned.T12.array, np.array(frame))
+    assert swapped.score == pytest.approx(found[0].score, abs=1e-9)
+    assert turned.score == pytest.approx(found[0].score, abs=1e-6)
+    assert any(
+        _same(inverse, h.T12.array, 1e-9) and {(b, a) for a, b in swapped.correspondences} == set(h.correspondences)
+        for h in as_good
+    )
+    assert any(
+        _same(moved_back, h.T12.array, 1e-5) and set(turned.correspondences) == set(h.correspondences) for h in as_good
+    )
+
+
+def _same(T12, other, tolerance):
+    off = np.asarray(T12) - np.asarray(other)
+    return bool(np.all(np.abs([*off[:2], se2.wrap(off[2])]) <= tolerance))
 
 
 @settings(max_examples=10, deadline=None)

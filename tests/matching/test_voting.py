@@ -18,7 +18,8 @@ from mapfuse.matching import explain, propose
 from mapfuse.matching.config import MatchingConfig
 from mapfuse.matching.hypothesis import Correspondences
 from mapfuse.matching.landmark_arrays import landmark_arrays
-from mapfuse.matching.voting import Settings, propose_by_votes, rotation_modes
+from mapfuse.matching.settings import Settings
+from mapfuse.matching.voting import propose_by_votes, rotation_modes
 
 TUNING = (20_011, 20_012, 20_013)
 
@@ -236,6 +237,35 @@ def test_votes_find_what_trying_every_pair_finds(floors):
     for found in (voted, folded):
         assert is_right(found[0].T12.array, direct[0].T12.array, 0.1)
         assert set(found[0].correspondences) == set(direct[0].correspondences)
+
+
+def test_many_matches_on_a_lattice_do_not_outweigh_the_true_place(floors):
+    # one pitch everywhere: where more of the floors overlap, more landmarks meet, of which each says little
+    true, crowded = [], []
+    for seed in range(20_128, 20_178):
+        pair = floors.pair_of_maps(100, "alike", np.random.default_rng(seed), overlap=0.35)
+        found = propose(pair.map1, pair.map2)
+        naive = propose_by_votes(pair.map1, pair.map2, settings=Settings(repeats=False))
+        true.append(is_right(found[0].T12.array, pair.T12, 2.0))
+        crowded.append(not is_right(naive[0].T12.array, pair.T12, 2.0))
+        if crowded[-1]:
+            assert naive[0].count > len(pair.pairs)
+    assert sum(true) >= 49
+    assert sum(crowded) >= 2
+
+
+def test_how_much_a_building_repeats_is_told_by_its_own_rivals(floors):
+    def charge(kind, seed):
+        pair = floors.pair_of_maps(100, kind, np.random.default_rng(seed), overlap=0.35)
+        counted = {h.correspondences: h.score for h in propose(pair.map1, pair.map2)}
+        in_full = propose_by_votes(pair.map1, pair.map2, settings=Settings(repeats=False))
+        charges = {round((h.score - counted[h.correspondences]) / h.count, 6) for h in in_full[:3]}
+        assert len(charges) == 1
+        return charges.pop()
+
+    seeds = range(20_011, 20_021)
+    assert np.median([charge("irregular", seed) for seed in seeds]) < 0.2
+    assert min(charge("alike", seed) for seed in seeds) > 0.8
 
 
 def test_only_what_is_hopelessly_behind_goes_no_further_in_large_maps(floors):
