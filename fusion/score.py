@@ -14,14 +14,19 @@ from .result import FusedMap, PairDecision
 
 Array = NDArray[np.float64]
 
+#: A merge is wrong with a smaller share of right correspondences, or common landmarks further off [m] on average than
+#: the first map alone has them: a map's own drift is no fault of a merge, and none can mend it.
+LEAST_RIGHT, MOST_OFF_M = 0.8, 3.0
+
 
 @dataclass(frozen=True, slots=True)
 class PairScore:
     """How a fused pair compares with the truth.
 
     ``right``, ``reported``, ``common``: reported correspondences that are true, all reported, all true ones.
-    ``displacement`` [m]: mean distance of the common landmarks from their true places, in the frame of the first map
-    (NaN where nothing was merged). ``nees_T12``: normalised estimation error squared of T12, chi-square with 3 degrees
+    ``displacement`` [m]: mean distance of the common landmarks from their true places, in the frame of the first map,
+    and ``own_displacement`` [m] of the same landmarks as the first map alone has them (NaN where nothing was merged).
+    ``nees_T12``: normalised estimation error squared of T12, chi-square with 3 degrees
     of freedom where its covariance holds; ``nees_landmarks`` (k,): of every fused landmark that is one true place,
     each with 2.
     """
@@ -32,13 +37,16 @@ class PairScore:
     reported: int
     common: int
     displacement: float
+    own_displacement: float
     nees_T12: float
     nees_landmarks: Array
 
     @property
     def merged_wrongly(self) -> bool:
-        """A merge with less than 80 % of its correspondences true, or its common landmarks off by more than 3 m."""
-        return self.decision == "merged" and (self.right < 0.8 * self.reported or not self.displacement <= 3.0)
+        """A merge with less than `LEAST_RIGHT` of its correspondences true, or its common landmarks `MOST_OFF_M`
+        further off than in the first map alone."""
+        off = self.displacement - self.own_displacement
+        return self.decision == "merged" and (self.right < LEAST_RIGHT * self.reported or not off <= MOST_OFF_M)
 
 
 def score_pair(fused: FusedMap, truth: Truth) -> PairScore:
@@ -54,13 +62,14 @@ def score_pair(fused: FusedMap, truth: Truth) -> PairScore:
     pair = fused.pairs[0]
     true_pairs = set(truth.true_pairs(*pair.maps))
     right = len(true_pairs & set(pair.correspondences))
-    displacement = nees_T12 = float("nan")
+    displacement = own = nees_T12 = float("nan")
     nees: list[float] = []
     if pair.decision == "merged" and pair.T12 is not None:
         found = _errors(fused, truth)
-        nees = [_nees(error, covariance) for error, covariance, _ in found]
-        distances = [float(np.hypot(*error)) for error, _, common in found if common]
-        displacement = float(np.mean(distances)) if distances else float("inf")
+        nees = [_nees(landmark.error, landmark.covariance) for landmark in found]
+        common = [landmark for landmark in found if landmark.common]
+        displacement = float(np.mean([np.hypot(*l.error) for l in common])) if common else float("inf")
+        own = float(np.mean([np.hypot(*l.own_error) for l in common])) if common else 0.0
         error_T12 = pair.T12.array - truth.T12(*pair.maps).array
         error_T12[2] = se2.wrap(error_T12[2])
         nees_T12 = _nees(error_T12, np.asarray(pair.T12.covariance))
@@ -71,21 +80,37 @@ def score_pair(fused: FusedMap, truth: Truth) -> PairScore:
         len(pair.correspondences),
         len(true_pairs),
         displacement,
+        own,
         nees_T12,
         np.array(nees),
     )
 
 
-def _errors(fused: FusedMap, truth: Truth) -> list[tuple[Array, Array, bool]]:
-    """Per fused landmark that is one true place: error (2,), covariance (2, 2), and whether both maps have it."""
-    into_frame = se2.inverse(truth.frames[fused.groups[0][0]])
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """A fused landmark that is one true place: its error (2,) [m] in the frame of the first map, with its covariance
+    (2, 2); whether both maps have it; and then its error (2,) as the first map alone has it."""
+
+    error: Array
+    covariance: Array
+    common: bool
+    own_error: Array
+
+
+def _errors(fused: FusedMap, truth: Truth) -> list[_Placed]:
+    first = fused.groups[0][0]
+    own = fused.sources[first]
+    into_frame = se2.inverse(truth.frames[first])
     found = []
     for landmark in fused.landmarks:
         places = {truth.landmarks[name][i] for name, ids in landmark.sources.items() for i in ids}
         place = places.pop() if len(places) == 1 else None
         if place is not None:
-            error = np.array([landmark.x, landmark.y]) - se2.transform(into_frame, truth.places[place])
-            found.append((error, landmark.covariance[:2, :2], len(landmark.sources) > 1))
+            there = se2.transform(into_frame, truth.places[place])
+            at = np.array([landmark.x, landmark.y])
+            recorded = [own.positions[own.index_from_id[i]] for i in landmark.sources.get(first, ())]
+            own_error = np.mean(recorded or [at], axis=0) - there
+            found.append(_Placed(at - there, landmark.covariance[:2, :2], len(landmark.sources) > 1, own_error))
     return found
 
 

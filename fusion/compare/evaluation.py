@@ -15,13 +15,11 @@ from mapfuse.datasets.transform import Transform
 from mapfuse.datasets.truth import Truth
 
 from ..result import PairDecision
+from ..score import LEAST_RIGHT, MOST_OFF_M
 from .method import Merge
 from .rigid import corridors_of, was_passed
 
 Array = NDArray[np.float64]
-
-#: A merge is wrong with a smaller share of right correspondences, or common landmarks further off [m] on average.
-LEAST_RIGHT, MOST_OFF_M = 0.8, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +30,7 @@ class AgainstTruth:
     of T12, at the origin of map 2; None without one. Of the merged map, None where nothing was merged: ``rms`` [m] of
     all recorded landmarks that are true places, from these, in the frame of map 1; ``rms_aligned`` [m]: after the rigid
     motion that fits the whole merged map best, None where the landmarks leave that open; ``displacement`` [m]: mean
-    distance of the common ones in the frame of map 1.
+    distance of the common ones in the frame of map 1, and ``own_displacement`` [m] as map 1 alone has them.
 
     ``false_alarms``: landmarks of both maps that aren't there; ``passed_alarms``: those that the other robot passed, so
     that it could tell; ``eliminated``: of these the ones that the merge doesn't keep; ``lost_places``: landmarks that
@@ -46,6 +44,7 @@ class AgainstTruth:
     rms: float | None
     rms_aligned: float | None
     displacement: float | None
+    own_displacement: float | None
     false_alarms: int
     passed_alarms: int
     eliminated: int | None
@@ -106,8 +105,8 @@ class Evaluation:
         """A merge with too few right correspondences, or its common landmarks too far off."""
         if self.truth is None or self.decision is None:
             return None
-        off = self.truth.displacement
-        return self.decision == "merged" and not (self.best_is_right and off is not None and off <= MOST_OFF_M)
+        off, own = self.truth.displacement, self.truth.own_displacement or 0.0
+        return self.decision == "merged" and not (self.best_is_right and off is not None and off - own <= MOST_OFF_M)
 
 
 def evaluated(map1: LandmarkMap, map2: LandmarkMap, merge: Merge, truth: Truth) -> AgainstTruth:
@@ -139,6 +138,7 @@ def evaluated(map1: LandmarkMap, map2: LandmarkMap, merge: Merge, truth: Truth) 
         rms,
         aligned,
         displacement,
+        _own_displacement(map1, truth, {i for i, _ in true_pairs}),
         len(alarms),
         len(passed_alarms),
         len(passed_alarms & gone) if merge.landmarks else None,
@@ -176,6 +176,16 @@ def _off(
         aligned = None
     of_common = float(np.mean(apart[is_common])) if any(is_common) else None
     return float(np.sqrt(np.mean(apart**2))), aligned, of_common
+
+
+def _own_displacement(map1: LandmarkMap, truth: Truth, common: set[str]) -> float | None:
+    """Mean distance [m] of the common landmarks from their true places as map 1 alone has them."""
+    off = []
+    for i in sorted(common):
+        there = truth.position(map1.name, i)
+        assert there is not None
+        off.append(np.hypot(*(map1.positions[map1.index_from_id[i]] - there)))
+    return float(np.mean(off)) if off else None
 
 
 def _passed_alarms(map1: LandmarkMap, map2: LandmarkMap, truth: Truth) -> set[tuple[str, str]]:

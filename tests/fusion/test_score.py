@@ -1,5 +1,7 @@
 """The score against truth, and its NEES against filterpy's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.stats import NEES
@@ -37,8 +39,17 @@ def test_a_merge_with_renamed_truth_is_wrong(merged):
 
 def test_a_displaced_merge_is_wrong(merged):
     fused, truth = merged
+    moved = tuple(replace(landmark, x=landmark.x + 4.0) for landmark in fused.landmarks)
+    assert score_pair(replace(fused, landmarks=moved), truth).merged_wrongly
+
+
+def test_the_first_maps_own_drift_is_no_wrong_merge(merged):
+    # all places elsewhere: as far off in the first map alone as in the merged one
+    fused, truth = merged
     away = {name: xy + 5.0 for name, xy in truth.places.items()}
-    assert score_pair(fused, type(truth)(truth.frames, truth.landmarks, away)).merged_wrongly
+    score = score_pair(fused, type(truth)(truth.frames, truth.landmarks, away))
+    assert min(score.displacement, score.own_displacement) > 3.0
+    assert not score.merged_wrongly
 
 
 def test_what_was_not_merged_is_not_merged_wrongly():

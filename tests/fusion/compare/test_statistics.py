@@ -37,8 +37,8 @@ def test_what_is_not_known_is_left_out():
 
 
 def evaluation(k, method, rms, decision="merged", right=10):
-    truth = AgainstTruth(right, 10, rms, 0.0, rms, rms, rms, 0, 0, 0, 0) if decision == "merged" else (
-        AgainstTruth(right, 10, 1.0, 0.0, None, None, None, 0, 0, None, None))  # fmt: skip
+    truth = AgainstTruth(right, 10, rms, 0.0, rms, rms, rms, 0.0, 0, 0, 0, 0) if decision == "merged" else (
+        AgainstTruth(right, 10, 1.0, 0.0, None, None, None, None, 0, 0, None, None))  # fmt: skip
     matches = tuple((f"a{n}", f"b{n}") for n in range(10))
     return Evaluation(("A", f"B{k}"), method, 1, 1, Merge(decision, None, matches), 0, 0, 0.1, truth)
 
