@@ -34,6 +34,8 @@ NEGLIGIBLE = 1e-4
 #: A proposal whose score is so far [nats] below the best one's isn't grown. Of 36 tuning pairs no hypothesis within 20
 #: nats of the best, or above -6, had a score more than 41 below, but those that grew to the answer of a better one.
 HOPELESS = 50.0
+#: So many proposed matches place map 2 by themselves.
+ENOUGH = 4
 #: How often the best hypotheses get graphs where walls speak; further ones are held against the walls without one.
 WALL_ROUNDS = 5
 #: Log odds against no overlap [nats] below which a rival is no image of another placement.
@@ -56,7 +58,9 @@ def grow_all(
 ) -> list[Growth]:
     """Every distinct hypothesis grown; those whose seed an earlier one explains are the same answer.
 
-    Where landmarks are ``known`` to be the same, they propose too.
+    Where growth from the seed comes to fewer matches than were proposed, it also starts from all of these: a single
+    heading that is off, or noise that is stated too small, would else lose the place. Where landmarks are ``known`` to
+    be the same, they propose too.
     """
     may = compatible(m1, m2, known)
     grown: list[Growth] = []
@@ -66,9 +70,12 @@ def grow_all(
         theta = hypothesis.T12.theta
         if any(set(seed) <= pairs and abs(se2.wrap(theta - turn)) < 0.5 for pairs, turn in explained):
             continue
-        growth = grow(m1, m2, hypothesis.T12.array, seed, config, may)
-        explained.append((growth.pairs | set(seed), float(growth.joined.T12[2])))
-        grown.append(growth)
+        growths = [grow(m1, m2, hypothesis.T12.array, seed, config, may)]
+        if len(growths[0].pairs) < hypothesis.count and hypothesis.count >= ENOUGH:
+            growths.append(grow(m1, m2, hypothesis.T12.array, _matches(m1, m2, hypothesis), config, may))
+        for growth in growths:
+            explained.append((growth.pairs | set(seed), float(growth.joined.T12[2])))
+            grown.append(growth)
     by_known = grow_known(m1, m2, known, config)
     grown = [by_known, *grown] if by_known is not None else grown
     return [g for g in grown if g.places_map2]
@@ -89,7 +96,11 @@ def _seed(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> tuple[tup
     seed = tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.seed)
     if all(m1.headed[i] and m2.headed[j] for i, j in seed):
         return seed
-    return tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.correspondences) or seed
+    return _matches(m1, m2, hypothesis) or seed
+
+
+def _matches(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> Pairs:
+    return tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.correspondences)
 
 
 def _one_answer(a: Growth, b: Growth, tolerance_m: float) -> bool:

@@ -1,15 +1,20 @@
-"""Which proposals are grown: those that are not hopelessly behind the best one."""
+"""Which proposals are grown, and from what: those that are not hopelessly behind, from all matches where one fails."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
+from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
+from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.datasets.transform import Transform
 from mapfuse.fusion.config import FuseConfig
-from mapfuse.fusion.pair import HOPELESS, _worth_growing
+from mapfuse.fusion.growth import grow
+from mapfuse.fusion.pair import HOPELESS, _worth_growing, grow_all
 from mapfuse.fusion.prepared import prepare
-from mapfuse.matching import MatchingConfig
+from mapfuse.matching import MatchingConfig, propose
 from mapfuse.matching.hypothesis import Hypothesis
 
 CONFIG = FuseConfig()
@@ -34,3 +39,22 @@ def test_scores_that_are_no_nats_cut_nothing():
     paper = replace(CONFIG, matching=MatchingConfig(mode="paper"))
     assert _worth_growing(PROPOSED, headed, headed, paper) == PROPOSED
     assert _worth_growing(PROPOSED, headed, bare, CONFIG) == PROPOSED
+
+
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_a_seed_whose_heading_is_off_does_not_lose_the_place(seed):
+    # what is proposed by a pair whose heading is 0.3 rad off grows from all that was proposed, where not from the pair
+    map1, map2, _ = simulated_pair(seed)
+    best = propose(map1, map2)[0]
+    lost = 0
+    for a, b in best.correspondences:
+        links = tuple(replace(link, heading=float(se2.wrap(link.heading + 0.3))) for link in map2[b].links)
+        bent = map2.replace(landmarks=tuple(replace(l, links=links) if l.id == b else l for l in map2.landmarks))
+        m1, m2 = prepare(map1, CONFIG.solving), prepare(bent, CONFIG.solving)
+        if not m2.headed[map2.index_from_id[b]] or not m1.headed[map1.index_from_id[a]]:
+            continue
+        hypothesis = replace(best, seed=((a, b),))
+        pair = (map1.index_from_id[a], map2.index_from_id[b])
+        lost += len(grow(m1, m2, best.T12.array, (pair,), CONFIG.solving).pairs) < best.count / 2
+        assert max(len(g.pairs) for g in grow_all(m1, m2, [hypothesis], CONFIG.solving)) >= 0.7 * best.count
+    assert lost
