@@ -1,12 +1,15 @@
 """Heuristic, Kalman and optimised merges on fresh simulated pairs: floors of every kind, and the hospital again.
 
-    .venv/bin/python benchmarks/compare_simulated.py [--pairs N] [--hospitals N] [--first SEED] [--quick] [--write]
+    .venv/bin/python benchmarks/compare_simulated.py [--pairs N] [--whole N] [--hospitals N] [--first SEED]
+        [--quick] [--write]
 
 Of every kind of floor N pairs, by seeds that nothing was tuned or tested on before; each pair counts as with a loop
 where the ways of both robots together close one. rms are of all recorded landmarks that are true places, in the frame
-of map 1 and after the best rigid motion; ratios and means over the pairs that both methods merged. Hospitals: two fresh
-drives each through the building of the hospital pair, as `mapfuse.datasets.recordings.make_paper_maps` makes them,
-mapped and merged. ``--write`` keeps the tables in ``benchmarks/results/compare-simulated.md``.
+of map 1 and after the best rigid motion; ratios and means over the pairs that both methods merged. What loops are
+worth: the same of floors that both robots explored whole, with recorded positions that close all loops, and as first
+reckoned, which close none. Hospitals: two fresh drives each through the building of the hospital pair, as
+`mapfuse.datasets.recordings.make_paper_maps` makes them, mapped and merged. ``--write`` keeps the tables in
+``benchmarks/results/compare-simulated.md``.
 """
 
 from __future__ import annotations
@@ -32,6 +35,8 @@ from mapfuse.fusion.compare.hospital import OnPlan, on_plan
 from mapfuse.fusion.compare.statistics import interval
 
 FIRST_SEED = 2_000_000
+#: Share of the corridors that a robot knows which explored a floor whole.
+WHOLE = (0.95, 1.0)
 KINDS = ("irregular", "oblique", "alike", "symmetric", "wings")
 METHODS = ("heuristic", "kalman", "optimised")
 RESULT = Path(__file__).resolve().parent / "results" / "compare-simulated.md"
@@ -69,6 +74,23 @@ def floors(first: int, count: int) -> dict[tuple[str, bool], list[Pair]]:
     return found
 
 
+def whole_floors(first: int, count: int) -> dict[tuple[str, bool], list[Pair]]:
+    """Pairs of floors with loops that both robots explored whole, by kind and whether their positions close them."""
+    chosen = methods(METHODS)
+    found: dict[tuple[str, bool], list[Pair]] = {}
+    for kind in KINDS:
+        if kind == "symmetric":
+            continue
+        for seed in range(first, first + count):
+            for closed in (True, False):
+                map1, map2, truth = simulated_pair(seed, kind, share=WHOLE, loops_closed=closed)
+                if loops((map1, map2), truth):
+                    pair = {e.method: e for e in compare_pair(map1, map2, chosen, truth)}
+                    found.setdefault((kind, closed), []).append(pair)
+        print(kind, "whole, done", flush=True)
+    return found
+
+
 def both(pairs: Sequence[Pair], other: str) -> list[tuple[float, float, float, float]]:
     """rms and aligned rms of the heuristic, then of another method, on pairs that both merged."""
     rows = []
@@ -86,10 +108,10 @@ def told(found: Interval | None, digits: int = 2) -> str:
     return "-" if found is None else f"{found.value:.{digits}f} ({found.low:.{digits}f} to {found.high:.{digits}f})"
 
 
-def floor_table(found: dict[tuple[str, bool], list[Pair]]) -> list[str]:
-    """One row per class and method."""
+def floor_table(found: dict[tuple[str, bool], list[Pair]], of: str) -> list[str]:
+    """One row per class and method; ``of``: what the classes' flag says."""
     lines = [
-        "| floor | loop | method | pairs | merged | wrong | both merged | mean rms, heuristic | mean rms"
+        f"| floor | {of} | method | pairs | merged | wrong | both merged | mean rms, heuristic | mean rms"
         " | median ratio of rms | mean aligned, heuristic | mean aligned | median ratio, aligned |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -159,15 +181,20 @@ def hospital_table(found: Sequence[dict[str, OnPlan]]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=60, help="of each kind of floor")
+    parser.add_argument("--whole", type=int, default=40, help="of each kind explored whole")
     parser.add_argument("--hospitals", type=int, default=40)
     parser.add_argument("--first", type=int, default=FIRST_SEED, metavar="SEED", help="first of the seeds")
-    parser.add_argument("--quick", action="store_true", help="three pairs of each kind, two hospitals")
+    parser.add_argument(
+        "--quick", action="store_true", help="three pairs of each kind, two explored whole, two hospitals"
+    )
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
     logging.disable(logging.WARNING)
-    pairs, hospitals = (3, 2) if given.quick else (given.pairs, given.hospitals)
-    of_floors = floor_table(floors(given.first, pairs))
+    pairs, whole, hospitals = (3, 2, 2) if given.quick else (given.pairs, given.whole, given.hospitals)
+    of_floors = floor_table(floors(given.first, pairs), "loop")
     print("\n".join(of_floors), flush=True)
+    of_whole = floor_table(whole_floors(given.first, whole), "positions close loops")
+    print("\n".join(of_whole), flush=True)
     laid = [hospital(seed) for seed in range(given.first, given.first + hospitals)]
     lines = [
         "# Heuristic against optimised on fresh simulated pairs",
@@ -182,6 +209,12 @@ def main() -> None:
         "",
         "Means and ratios over the pairs that the heuristic and the method both merged, rms in metres; in brackets",
         "95 % by bootstrap over pairs.",
+        "",
+        "## Floors explored whole",
+        "",
+        f"{whole} pairs of each kind but symmetric ones, the same seeds; those with a loop.",
+        "",
+        *of_whole,
         "",
         "## Hospitals",
         "",

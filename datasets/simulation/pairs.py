@@ -36,11 +36,13 @@ def simulated_pair(
     min_common: int = 8,
     robots: tuple[Robot, Robot] = (VESPUCCI, MILKA),
     share: tuple[float, float] = (0.4, 0.9),
+    loops_closed: bool = True,
 ) -> tuple[LandmarkMap, LandmarkMap, Truth]:
     """Two robots' maps ``A`` and ``B`` of one floor (or of two different floors of a kind), and the truth.
 
     ``min_common``: true places that both maps hold at least (same floor only); routes are drawn again until so.
-    ``share``: bounds of the share of the corridors that each robot explores. The same seed gives the same pair.
+    ``share``: bounds of the share of the corridors that each robot explores. ``loops_closed``: see `record`. The same
+    seed gives the same pair.
 
     Raises `SimulationError` where the wanted overlap doesn't come about.
 
@@ -52,7 +54,14 @@ def simulated_pair(
     for _ in range(_TRIES):
         floors = _floors(floor_kind, same, rng)
         recordings = [
-            record(floor, explore(floor, rng, float(rng.uniform(*share))), robot.with_compass(compass), rng, name)
+            record(
+                floor,
+                explore(floor, rng, float(rng.uniform(*share))),
+                robot.with_compass(compass),
+                rng,
+                name,
+                loops_closed=loops_closed,
+            )
             for floor, robot, name in zip(floors, robots, ("A", "B"), strict=True)
         ]
         if not same or len(recordings[0].true_places & recordings[1].true_places) >= min_common:

@@ -51,3 +51,22 @@ def solve_positions(count: int, anchor: int, at: Array, displacements: Sequence[
         A[row, d.b] = A[d.b, row] = 1.0
         b[row] = d.xy
     return np.asarray(np.linalg.solve(A, b)[:count], dtype=float)
+
+
+def first_to_each(count: int, displacements: Sequence[Displacement]) -> list[Displacement]:
+    """Of displacements in the order in which they were driven those that lead to something new: no loop is closed.
+
+    Those that are to be kept as they are come before the others, since they must hold.
+
+    >>> round_trip = [Displacement(a, (a + 1) % 3, np.ones(2), 1.0) for a in range(3)]
+    >>> [(d.a, d.b) for d in first_to_each(3, round_trip)]
+    [(0, 1), (1, 2)]
+    """
+    part = list(range(count))
+    chosen = []
+    for d in sorted(displacements, key=lambda d: d.sigma is not None):
+        a, b = part[d.a], part[d.b]
+        if a != b:
+            part = [a if p == b else p for p in part]
+            chosen.append(d)
+    return chosen

@@ -6,8 +6,9 @@ model must be consistent on these maps. Three choices keep that exact where the 
 
 - The landmark at the start is always recorded, and no other place or false alarm is within 4 m of it: so it is the
   one recorded nearest to the start, whatever the noise.
-- Recorded positions are loop-closed (least squares over the links), as a mapper's are; by row 6 they are starting
-  values, except the one at the start, and the displacements over bent links, which keep their own draws.
+- Recorded positions are loop-closed (least squares over the links), as a mapper's are, or on request as first reckoned,
+  each from where the robot came; by row 6 they are starting values, except the one at the start, and the displacements
+  over bent links, which keep their own draws.
 - A bent link stands at one of its two ends, where its arm is clear of the displacement by more than 20 degrees, and
   its error is relative to the landmark heading there: one reading, whose error no other number in the map shares.
 """
@@ -25,7 +26,7 @@ from ..maps import Landmark, LandmarkMap, Link
 from ..values import frozen_array
 from .explore import Route, SimulationError
 from .floors import Floor, bearing
-from .positions import Displacement, solve_positions
+from .positions import Displacement, first_to_each, solve_positions
 from .robots import Robot
 from .stations import Station, Stations, draw_stations
 from .trail import BENT, StationArm, Trail, Way, trail
@@ -62,8 +63,13 @@ class Recording:
         return frozenset(place for place in self.place_from_id.values() if place is not None)
 
 
-def record(floor: Floor, route: Route, robot: Robot, rng: np.random.Generator, name: str) -> Recording:
+def record(
+    floor: Floor, route: Route, robot: Robot, rng: np.random.Generator, name: str, *, loops_closed: bool = True
+) -> Recording:
     """The map that ``robot`` brings home from ``route``; landmarks and links shuffled, ids random.
+
+    ``loops_closed``: whether the recorded positions are the best that all links together say; else each is what the
+    robot reckoned when it first came there, as of robots that map while they drive and never look back.
 
     Raises `SimulationError` where no draw in `TRIES` gives a map that the model describes.
 
@@ -79,7 +85,7 @@ def record(floor: Floor, route: Route, robot: Robot, rng: np.random.Generator, n
         links = trail(stations)
         if links is None:
             continue
-        readings = _Readings.draw(floor, route, robot, rng, stations, links)
+        readings = _Readings.draw(floor, route, robot, rng, stations, links, loops_closed)
         if not readings.fit_the_model(links):
             continue
         recorded = [k for k, s in enumerate(stations.all) if s.detections]
@@ -124,6 +130,7 @@ class _Readings:
         rng: np.random.Generator,
         stations: Stations,
         links: Trail,
+        loops_closed: bool,
     ) -> _Readings:
         """Rows 1 to 6 and 9."""
         truth = _listed_arms(stations, links, robot, rng)
@@ -146,6 +153,8 @@ class _Readings:
         start = stations.walk[0]
         at = se2.transform(se2.inverse(route.start), stations.all[start].meant)
         at = at + rng.normal(0.0, robot.noise.position_sigma, 2)
+        if not loops_closed:
+            displacements = first_to_each(len(recorded), displacements)
         xy_of_row = solve_positions(len(recorded), row[start], at, displacements)
         return cls(heading, compass, distance, {k: xy_of_row[row[k]] for k in recorded})
 
