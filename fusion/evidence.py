@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Probability that two different buildings stand on one street grid, so that they agree modulo a quarter turn.
 ONE_GRID = 0.5
+#: What regular buildings are worth less [nats] from which on all of `EvidenceConfig.look_elsewhere` is taken off.
+REGULAR_NATS = 7.5
 #: Probability that a compass agrees by chance although its robot was misled by steel everywhere.
 STEEL_RATE = 0.003
 
@@ -122,6 +124,16 @@ def _compass(m1: PreparedMap, m2: PreparedMap, theta: float) -> float:
     return float(np.log((1 - STEEL_RATE) * quarters[0] + STEEL_RATE / (2 * np.pi)) - np.log(anyhow))
 
 
+def look_elsewhere(regular: float | None, config: EvidenceConfig) -> float:
+    """What is taken off a hypothesis [nats], since many are tried and fit by what the model leaves out: all of it in
+    regular buildings, by what these are worth less (``regular`` [nats], not above 0), half of it in others.
+
+    All of it for point landmarks (``regular`` None), of whose regularity nothing is known.
+    """
+    share = 1.0 if regular is None else min(0.5 * (1 - regular / REGULAR_NATS), 1.0)
+    return share * config.look_elsewhere
+
+
 def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Weighed:
     """The evidence of a grown hypothesis."""
     joined = growth.joined
@@ -133,7 +145,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     on_corridors = bool((~background.points1[joined.i]).any())
     prior = corridor_prior(background, way.overlap) if on_corridors else point_prior(background)
     terms = Terms(
-        prior=prior - config.look_elsewhere,
+        prior=prior - look_elsewhere(regular if on_corridors else None, config),
         matches=matches,
         points=point_matches(joined, background),
         regular=regular,

@@ -111,7 +111,7 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
     detections = 2 * np.log((1 - fa1) * (1 - fa2)) + np.log((1 - through1) * (1 - through2))
     clutter = 3 * np.log(4) - 2 * np.log(nu["corner"]) - np.log(nu["junction"])
     expected = {
-        "prior": np.log(length / (2 * length * length)) - config.look_elsewhere,
+        "prior": np.log(length / (2 * length * length)) - config.look_elsewhere / 2,
         "matches": detections + clutter + densities,
         "points": 0.0,
         "regular": 0.0,
