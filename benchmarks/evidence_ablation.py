@@ -26,7 +26,7 @@ from mapfuse.datasets.simulation.pairs import TEST_SEEDS, TUNING_SEEDS
 from mapfuse.fusion import FuseConfig
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import EvidenceConfig
-from mapfuse.fusion.evidence import Weighed, look_elsewhere, weigh
+from mapfuse.fusion.evidence import Weighed, weigh
 from mapfuse.fusion.pair import distinct, grow_all, judged
 from mapfuse.fusion.prepared import prepare
 from mapfuse.matching import propose
@@ -65,7 +65,7 @@ def _lacking(*names: str) -> Callable[[Weighed], Weighed]:
 
 
 def _without_search(w: Weighed) -> Weighed:
-    return replace(w, terms=replace(w.terms, prior=w.terms.prior + look_elsewhere(w.terms.regular, CONFIG.evidence)))
+    return replace(w, terms=replace(w.terms, prior=w.terms.prior + CONFIG.evidence.look_elsewhere / 2))
 
 
 PARTS: Mapping[str, Part] = {
@@ -75,7 +75,7 @@ PARTS: Mapping[str, Part] = {
     "void alone": Part(_lacking("void")),
     "arms": Part(_lacking("arms")),
     "compass": Part(_lacking("compass")),
-    "look-elsewhere": Part(_without_search),
+    "half of look-elsewhere": Part(_without_search),
     "repetition rule": Part(evidence=(("repetition_rate", 0.0),)),
     "the maps' matches with themselves": Part(self_match=False),
 }

@@ -24,8 +24,9 @@ Array = NDArray[np.float64]
 
 #: Probability that two different buildings stand on one street grid, so that they agree modulo a quarter turn.
 ONE_GRID = 0.5
-#: What regular buildings are worth less [nats] from which on all of `EvidenceConfig.look_elsewhere` is taken off.
-REGULAR_NATS = 7.5
+#: All of `EvidenceConfig.look_elsewhere` is taken off where what a regular building is worth less comes to so many
+#: nats; half of it where it comes to none, and so many distances along corridors are known that a rhythm would show.
+REGULAR_NATS, DISTANCES = 7.5, 20
 #: Probability that a compass agrees by chance although its robot was misled by steel everywhere.
 STEEL_RATE = 0.003
 
@@ -124,14 +125,14 @@ def _compass(m1: PreparedMap, m2: PreparedMap, theta: float) -> float:
     return float(np.log((1 - STEEL_RATE) * quarters[0] + STEEL_RATE / (2 * np.pi)) - np.log(anyhow))
 
 
-def look_elsewhere(regular: float | None, config: EvidenceConfig) -> float:
-    """What is taken off a hypothesis [nats], since many are tried and fit by what the model leaves out: all of it in
-    regular buildings, by what these are worth less (``regular`` [nats], not above 0), half of it in others.
+def look_elsewhere(regular: float, distances: int, config: EvidenceConfig) -> float:
+    """What is taken off a hypothesis [nats], since many are tried and fit by what the model leaves out.
 
-    All of it for point landmarks (``regular`` None), of whose regularity nothing is known.
+    All of it where the building is regular, by what that takes off (``regular`` [nats], not above 0), or where too few
+    ``distances`` between landmarks are known to tell; down to half of it where they show none.
     """
-    share = 1.0 if regular is None else min(0.5 * (1 - regular / REGULAR_NATS), 1.0)
-    return share * config.look_elsewhere
+    irregular = max(1 + regular / REGULAR_NATS, 0.0) * min(distances / DISTANCES, 1.0)
+    return (1 - irregular / 2) * config.look_elsewhere
 
 
 def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Weighed:
@@ -141,11 +142,12 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     misses, void, arms, crossings = emptiness(way, background, config)
     arms += per_arm(config) * int(joined.arms.contradict.sum())
     compass = _compass(joined.m1, joined.m2, float(joined.T12[2]))
-    matches, regular = corridor_matches(joined, background, float(np.deg2rad(config.corridor_angle_deg)))
+    angle = float(np.deg2rad(config.corridor_angle_deg))
+    matches, regular = corridor_matches(joined, background, angle)
     on_corridors = bool((~background.points1[joined.i]).any())
     prior = corridor_prior(background, way.overlap) if on_corridors else point_prior(background)
     terms = Terms(
-        prior=prior - look_elsewhere(regular if on_corridors else None, config),
+        prior=prior - look_elsewhere(regular, background.regularity(angle).distances if on_corridors else 0, config),
         matches=matches,
         points=point_matches(joined, background),
         regular=regular,

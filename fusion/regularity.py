@@ -136,6 +136,11 @@ class Regularity:
     gaps2: Gaps
 
     @cached_property
+    def distances(self) -> int:
+        """How many distances along straight corridors the maps hold, each once."""
+        return sum(int((g.pairs[:, 0] < g.pairs[:, 1]).sum()) for g in (self.gaps1, self.gaps2))
+
+    @cached_property
     def pitch(self) -> float:
         """Pitch [m] of both maps' corridors, or 0."""
         return pitch_of(np.concatenate([self.gaps1.between_spatial, self.gaps2.between_spatial]))

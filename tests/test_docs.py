@@ -32,6 +32,7 @@ from mapfuse.fusion import (
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig, FuseConfig, SolvingConfig
 from mapfuse.fusion.elastic import Joined
+from mapfuse.fusion.evidence import look_elsewhere
 from mapfuse.fusion.growth import Growth
 from mapfuse.fusion.pair import fuse_pair
 from mapfuse.fusion.pairresult import mixture
@@ -111,7 +112,8 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand():
     detections = 2 * np.log((1 - fa1) * (1 - fa2)) + np.log((1 - through1) * (1 - through2))
     clutter = 3 * np.log(4) - 2 * np.log(nu["corner"]) - np.log(nu["junction"])
     expected = {
-        "prior": np.log(length / (2 * length * length)) - config.look_elsewhere / 2,
+        # two maps of three landmarks hold six distances
+        "prior": np.log(length / (2 * length * length)) - look_elsewhere(0.0, 6, config),
         "matches": detections + clutter + densities,
         "points": 0.0,
         "regular": 0.0,

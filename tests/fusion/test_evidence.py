@@ -15,7 +15,7 @@ from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.coverage import SeenArea, Segments, overlap_length, passed
 from mapfuse.fusion.elastic import PRIOR_SIGMA, Joined
-from mapfuse.fusion.evidence import ONE_GRID, REGULAR_NATS, STEEL_RATE, look_elsewhere, weigh
+from mapfuse.fusion.evidence import DISTANCES, ONE_GRID, REGULAR_NATS, STEEL_RATE, look_elsewhere, weigh
 from mapfuse.fusion.growth import Growth, grow
 from mapfuse.fusion.passing import emptiness, passing_at
 from mapfuse.fusion.prepared import prepare
@@ -69,8 +69,9 @@ def test_a_corridor_that_both_robots_recorded_alike():
     fa = false_end(2)
     assert 0.01 < fa < 0.02
     rate = 4 * (1 - fa) / PD / (2 * LENGTH)
-    # T12: a stretch of 20 m of 20 m on one of 20 m, in one of two directions, and many were tried
-    assert terms.prior == pytest.approx(np.log(LENGTH / (2 * LENGTH * LENGTH)) - CONFIG.look_elsewhere / 2)
+    # T12: a stretch of 20 m of 20 m on one of 20 m, in one of two directions, and many were tried; two distances known
+    tried = look_elsewhere(0.0, 2, CONFIG)
+    assert terms.prior == pytest.approx(np.log(LENGTH / (2 * LENGTH * LENGTH)) - tried)
     # the second end: 0 m off along the corridor. Each map's length has sigma 0.1 + 0.02 * 20 (one reading, since it
     # stands equal at both ends), and at each end the robots mean the same place to 0.05 m
     along = norm.logpdf(0.0, scale=np.sqrt(2 * 0.5**2 + 2 * 0.05**2))
@@ -397,8 +398,9 @@ def test_swapping_the_maps_leaves_the_evidence(seed):
     assert matches_of(one) == {(i, j) for j, i in matches_of(two)}
     w, v = weigh(one, Background(m1, m2), CONFIG), weigh(two, Background(m2, m1), CONFIG)
     first, second = asdict(w.terms), asdict(v.terms)
+    distances = Background(m1, m2).regularity(np.deg2rad(CONFIG.corridor_angle_deg)).distances
     for terms in (first, second):  # what is taken off for the search follows what is regular
-        terms["prior"] += look_elsewhere(terms["regular"], CONFIG)
+        terms["prior"] += look_elsewhere(terms["regular"], distances, CONFIG)
     for name in ("matches", "regular"):
         assert first.pop(name) == pytest.approx(second.pop(name), abs=0.3)
     assert first == pytest.approx(second, abs=0.01)
@@ -419,10 +421,15 @@ def test_the_evidence_is_the_sum_of_its_terms():
         BOTH_ENDS,
         config=EvidenceConfig(look_elsewhere=CONFIG.look_elsewhere + 3),
     )
-    assert found.log_odds - further.log_odds == pytest.approx(1.5)
+    assert found.log_odds - further.log_odds == pytest.approx(3.0 * (1 - 2 / DISTANCES / 2))
 
 
-def test_regular_buildings_pay_for_the_search_in_full():
-    assert look_elsewhere(0.0, CONFIG) == CONFIG.look_elsewhere / 2
-    assert look_elsewhere(-REGULAR_NATS / 2, CONFIG) == 0.75 * CONFIG.look_elsewhere
-    assert look_elsewhere(-100.0, CONFIG) == look_elsewhere(None, CONFIG) == CONFIG.look_elsewhere
+def test_only_maps_that_show_no_rhythm_pay_less_for_the_search():
+    full = CONFIG.look_elsewhere
+    assert look_elsewhere(0.0, DISTANCES, CONFIG) == look_elsewhere(0.0, 10 * DISTANCES, CONFIG) == full / 2
+    assert (
+        look_elsewhere(0.0, DISTANCES // 2, CONFIG)
+        == look_elsewhere(-REGULAR_NATS / 2, DISTANCES, CONFIG)
+        == 0.75 * full
+    )
+    assert look_elsewhere(-100.0, DISTANCES, CONFIG) == look_elsewhere(0.0, 0, CONFIG) == full
