@@ -8,14 +8,43 @@ the formulas.
 from __future__ import annotations
 
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapfuse.datasets.compiled import kernel
 
 TWO_PI = 2 * np.pi
 # A link shorter than this [m] has no direction to speak of.
 SHORT_M = 0.5
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+
+class Ways(NamedTuple):
+    """n landmarks of one map and the corridors (m, 2) between them, as `mapfuse.fusion.prepared.PreparedMap` has them;
+    ``corner``, ``spatial`` (n,): which are corners by their type, which corners or junctions."""
+
+    xy: Array
+    corridors: Index
+    arm: Array
+    passable: Flags
+    corner: Flags
+    spatial: Flags
+
+
+class Limits(NamedTuple):
+    """Half the ``width`` of a corridor [m], the ``angle`` [rad] within which directions are one, the ``margin`` [m] of
+    links' ends; by what sine corridors cross at least, and how ``clear`` [m] of landmarks and ends."""
+
+    width: float
+    angle: float
+    margin: float
+    sine: float
+    clear: float
 
 
 @kernel
@@ -149,6 +178,126 @@ def _is_clear(x, y, marks, count, clear):
     for k in range(count):
         near |= np.hypot(marks[k, 0] - x, marks[k, 1] - y) <= clear
     return not near
+
+
+@kernel
+def ends_of(xy, corridors):
+    """Both ends (m, 2) of corridors between landmarks at ``xy`` (n, 2)."""
+    start, end = np.empty((len(corridors), 2)), np.empty((len(corridors), 2))
+    for c in range(len(corridors)):
+        for axis in range(2):
+            start[c, axis], end[c, axis] = xy[corridors[c, 0], axis], xy[corridors[c, 1], axis]
+    return start, end
+
+
+@kernel
+def any_of_each(table):
+    """Which rows of a table hold anything."""
+    out = np.zeros(len(table), np.bool_)
+    for row in range(len(table)):
+        for column in range(table.shape[1]):
+            out[row] |= table[row, column]
+    return out
+
+
+@kernel
+def clashes(p1, p2, corner1, corner2, free1, free2, width):
+    """Pairs (k,), (k,) of free landmarks within ``width`` [m] of one of the other type, nearest first, each in one pair at
+    most; of equally near ones the first."""
+    near = [(0.0, 0, 0)][:0]
+    for i in range(len(p1)):
+        for j in range(len(p2)):
+            if free1[i] and free2[j] and corner1[i] != corner2[j]:
+                apart = np.hypot(p1[i, 0] - p2[j, 0], p1[i, 1] - p2[j, 1])
+                if apart < width:
+                    heappush(near, (apart, i, j))
+    free1, free2 = free1.copy(), free2.copy()
+    first, second, count = np.empty(len(near), np.intp), np.empty(len(near), np.intp), 0
+    while near:
+        _, i, j = heappop(near)
+        if free1[i] and free2[j]:
+            first[count], second[count] = i, j
+            free1[i] = free2[j] = False
+            count += 1
+    return first[:count].copy(), second[:count].copy()
+
+
+@kernel
+def passing(A, B, turn, p1, p2, i, j, limits):
+    """What each robot passed of the other's map, whose landmarks lie at ``p1`` (n1, 2) and ``p2`` (n2, 2), map 2
+    turned by ``turn`` [rad], the landmarks i and j being the same; as `mapfuse.fusion.passing.Passing` has it.
+
+    Which landmarks of map 1, of map 2 were passed; through how many blocked arms of each, and of matched ones; clashes;
+    corridor of both [m]; how many corridors cross bare.
+    """
+    start1, end1 = ends_of(p1, A.corridors)
+    start2, end2 = ends_of(p2, B.corridors)
+    inside1 = passes(p2, start1, end1, limits.width, limits.margin)
+    inside2 = passes(p1, start2, end2, limits.width, limits.margin)
+    through1 = blocked_ways(inside2, A.arm, A.passable, 0.0, start2, end2, limits.angle)
+    through2 = blocked_ways(inside1, B.arm, B.passable, turn, start1, end1, limits.angle)
+    blocked = 0
+    free1, free2 = A.spatial.copy(), B.spatial.copy()
+    for n in range(len(i)):
+        blocked += through1[i[n]] + through2[j[n]]
+        free1[i[n]] = free2[j[n]] = False
+    # a corner that the other robot drove straight across contradicts, whatever its arms
+    across1, across2 = any_of_each(inside2), any_of_each(inside1)
+    for k in range(len(p1)):
+        if A.corner[k] and across1[k] and not through1[k]:
+            through1[k] = 1
+    for k in range(len(p2)):
+        if B.corner[k] and across2[k] and not through2[k]:
+            through2[k] = 1
+    cosine = np.cos(limits.angle)
+    overlap = covered(start1, end1, start2, end2, limits.width, cosine)
+    overlap += covered(start2, end2, start1, end1, limits.width, cosine)
+    crossed = crossings(start1, end1, start2, end2, np.concatenate((p1, p2)), limits.clear, limits.sine)
+    return (
+        any_of_each(passes(p1, start2, end2, limits.width, 0.0)),
+        any_of_each(passes(p2, start1, end1, limits.width, 0.0)),
+        through1,
+        through2,
+        blocked,
+        clashes(p1, p2, A.corner, B.corner, free1, free2, limits.width),
+        overlap / 2,
+        len(crossed),
+    )
+
+
+@kernel
+def unseen(false, either, through, k, per_arm):
+    """Log probability of what the other robot shows at landmark k, by that it passed it unseen, and by that and the
+    blocked arms that it drove ``through``, each worth ``per_arm`` [nats].
+
+    ``false`` (n,): that the landmark isn't there, ``either`` (n,): that, or that it was missed. A landmark that isn't
+    there says nothing of its arms.
+    """
+    driven = np.log(false[k] + np.exp(per_arm * through[k]) * max(either[k] - false[k], 0.0))
+    return np.log(either[k]), driven
+
+
+@kernel
+def silence(false1, either1, missed1, through1, false2, either2, missed2, through2, clash1, clash2, per_arm):
+    """Misses and arms [nats] of what two robots did not see of each other's landmarks: ``missed`` (k,) ones of either
+    map, and those that ``clash`` (m,); ``false``, ``either`` and ``through`` as in `unseen`."""
+    misses = arms = 0.0
+    for k in missed1:
+        seen, driven = unseen(false1, either1, through1, k, per_arm)
+        misses += seen
+        arms += driven - seen
+    for k in missed2:
+        seen, driven = unseen(false2, either2, through2, k, per_arm)
+        misses += seen
+        arms += driven - seen
+    for n in range(len(clash1)):
+        a, b = clash1[n], clash2[n]
+        one, other = unseen(false1, either1, through1, a, per_arm)[1], unseen(false2, either2, through2, b, per_arm)[1]
+        # two robots were there, and one of them is wrong: all cases but that both are right
+        right = (np.exp(one) - false1[a]) * (np.exp(other) - false2[b])
+        misses += np.log(np.exp(one) * np.exp(other) - right)
+        misses -= one * (missed1 == a).any() + other * (missed2 == b).any()
+    return misses, arms
 
 
 @kernel
