@@ -18,6 +18,10 @@ from mapfuse.datasets.compiled import kernel
 TWO_PI = 2 * np.pi
 # A link shorter than this [m] has no direction to speak of.
 SHORT_M = 0.5
+# Constants of `mapfuse.fusion.regularity`.
+REACH_M = 25.0
+SAME_DISTANCE_M, SAME_DISTANCE_SHARE = 0.5, 0.03
+ON_A_LINE, LINE_WIDTH_M, DOUBT = 0.5, 1.0, 2.0
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -34,6 +38,38 @@ class Ways(NamedTuple):
     passable: Flags
     corner: Flags
     spatial: Flags
+
+
+class Rhythm(NamedTuple):
+    """Distances along one map's straight corridors, as `mapfuse.fusion.regularity.Gaps` has them."""
+
+    pairs: Index
+    distance: Array
+    origin: Index
+    exposure: Array
+    start: Index
+    label: Index
+    spatial: Flags
+
+
+class Worth(NamedTuple):
+    """What a match of each landmark of map 1 (n1,), and of map 2 (n2,), says by itself [nats].
+
+    ``point``: in the open, no corridor leads there. ``there``: the log probability that it is there. ``kind``: what its
+    arms say it is, as a number. ``rate`` [1/m]: how common its label is; ``ways``, ``rarity``: what arms that agree,
+    and a kind that agrees, are worth; ``both``: the probability that two robots record it.
+    """
+
+    point1: Flags
+    point2: Flags
+    there1: Array
+    there2: Array
+    kind1: Index
+    kind2: Index
+    rate: Array
+    ways: Array
+    rarity: Array
+    both: Array
 
 
 class Limits(NamedTuple):
@@ -459,3 +495,149 @@ def times_met(pairs, distances, origin, exposure, start, label, a, b, at, tolera
         if start[origin[k]] == a and beyond > 0:
             could += 1 + int(beyond / period) if period > 0 else 1
     return met, could
+
+
+@kernel
+def same_distance(distance):
+    """By how much [m] two distances like this one may differ and be the same."""
+    return SAME_DISTANCE_M + SAME_DISTANCE_SHARE * distance
+
+
+@kernel
+def rhythm(G, H, pair1, pair2, at, rate, pitch):
+    """Share of landmarks like the first of a pair that have one like the second ``at`` [m] from them, beyond chance.
+
+    ``pair1``, ``pair2``: the same two landmarks in either map; ``rate`` [1/m]: how common those like the second are.
+    """
+    if at > REACH_M and not pitch:
+        return 0.0
+    a, b, tolerance = G.start[pair1[0]], G.label[pair1[1]], same_distance(at)
+    met1, could1 = times_met(
+        G.pairs, G.distance, G.origin, G.exposure, G.start, G.label, a, b, at, tolerance, pitch, pair1
+    )
+    met2, could2 = times_met(
+        H.pairs, H.distance, H.origin, H.exposure, H.start, H.label, a, b, at, tolerance, pitch, pair2
+    )
+    met, could = met1 + met2, could1 + could2
+    if pitch:
+        return met / (could + DOUBT)
+    by_chance = could * rate * 2 * tolerance
+    return max(met - by_chance - np.sqrt(by_chance), 0.0) / (could + DOUBT)
+
+
+@kernel
+def shares(G, H, i, j, at, along, rate, pitch):
+    """Share (k,) of other buildings of this style that have a landmark of match k's label where it stands, as
+    `mapfuse.fusion.regularity.Regularity.shares` says."""
+    out = np.zeros(len(i))
+    corners = 0
+    for k in range(len(i)):
+        x, y = along[k]
+        nearest_before, least = -1, np.inf
+        on_a_line = False
+        for m in range(k):
+            dx, dy = at[k, 0] - at[m, 0], at[k, 1] - at[m, 1]
+            ahead, beside = abs(dx * x + dy * y), abs(dy * x - dx * y)
+            # on a grid of one pitch any corner tells where the others are, elsewhere only those of the same corridor
+            if pitch:
+                before = G.spatial[i[m]] or not corners
+            else:
+                before = beside < LINE_WIDTH_M and ahead > LINE_WIDTH_M
+            if before and ahead + beside < least:
+                nearest_before, least = m, ahead + beside
+            on_a_line |= ahead < LINE_WIDTH_M and beside > LINE_WIDTH_M and G.spatial[i[m]]
+        if nearest_before >= 0:
+            m = nearest_before
+            ahead = abs((at[k, 0] - at[m, 0]) * x + (at[k, 1] - at[m, 1]) * y)
+            out[k] = rhythm(G, H, (i[m], i[k]), (j[m], j[k]), ahead, rate[k], pitch)
+        if G.spatial[i[k]] and on_a_line:
+            out[k] = max(out[k], ON_A_LINE)
+        corners += G.spatial[i[k]]
+    return out
+
+
+@kernel
+def given_before(C, r):
+    """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it: C (3k, 3k) of residuals r."""
+    L = np.linalg.cholesky(C)
+    k = len(r) // 3
+    innovation, V = np.zeros((k, 3)), np.zeros((k, 3, 3))
+    z = np.empty(3 * k)
+    for row in range(3 * k):
+        z[row] = (r[row] - L[row, :row] @ z[:row]) / L[row, row]
+        n, a = row // 3, row % 3
+        for l in range(a + 1):
+            innovation[n, a] += L[row, 3 * n + l] * z[3 * n + l]
+            for b in range(3):
+                V[n, a, b] += L[row, 3 * n + l] * L[3 * n + b, 3 * n + l]
+    return innovation, V
+
+
+@kernel
+def least_known(V):
+    """Direction (x, y) in which a covariance (2, 2 or more) of positions is widest."""
+    angle = np.arctan2(2 * V[0, 1], V[0, 0] - V[1, 1]) / 2
+    return np.cos(angle), np.sin(angle)
+
+
+@kernel
+def in_line(C, r, order, along):
+    """Log density (k,) [nats per m] of the residuals of the matches ``order`` (k,) along their directions (k, 2), given
+    those before. Where there is no direction (NaN) it is the least known one, which is written there.
+
+    C, r: covariance and residuals of all matches.
+    """
+    k = len(order)
+    own_C, own_r = np.empty((3 * k, 3 * k)), np.empty(3 * k)
+    for n in range(k):
+        for a in range(3):
+            own_r[3 * n + a] = r[3 * order[n] + a]
+            for m in range(k):
+                for b in range(3):
+                    own_C[3 * n + a, 3 * m + b] = C[3 * order[n] + a, 3 * order[m] + b]
+    innovation, V = given_before(own_C, own_r)
+    density = np.empty(k)
+    for n in range(k):
+        if np.isnan(along[n, 0]):
+            along[n, 0], along[n, 1] = least_known(V[n])
+        x, y = along[n]
+        u = x * innovation[n, 0] + y * innovation[n, 1]
+        v = x * x * V[n, 0, 0] + 2 * x * y * V[n, 0, 1] + y * y * V[n, 1, 1]
+        density[n] = -0.5 * u * u / v - 0.5 * np.log(TWO_PI * v)
+    return density
+
+
+@kernel
+def on_corridors(A, B, G, H, W, pitch, turn, i, j, coincide, contradict, C, r, p1):
+    """What matched corridor landmarks say [nats], and what a regular building takes off that.
+
+    A, B, G, H: `Ways` and `Rhythm` of both maps, map 2 turned by ``turn`` [rad]; W: `Worth`. The matches i, j (k,) with
+    how many of their arms ``coincide`` and ``contradict``, covariance C and residuals r; ``p1`` (n1, 2): where the
+    landmarks of map 1 then are.
+    """
+    on = np.flatnonzero(~W.point1[i] & ~W.point2[j])
+    worth = densities = regular = 0.0
+    for n in on:
+        worth += W.there1[i[n]] + W.there2[j[n]] - np.log(W.rate[i[n]])
+        if coincide[n] >= 2 and contradict[n] == 0:
+            worth += W.ways[i[n]]
+            if W.kind1[i[n]] == W.kind2[j[n]]:
+                worth += W.rarity[i[n]]
+    if len(on) < 2:  # a single one is what places map 2: its density is the prior of T12
+        return worth, 0.0
+    for second in range(2):
+        ways, matched, by = (B, j[on], turn) if second else (A, i[on], 0.0)
+        order, along = visited(ways.xy, ways.corridors, ways.arm, ways.passable, matched)
+        c, s = np.cos(by), np.sin(by)
+        for n in range(len(along)):
+            x, y = along[n]
+            along[n, 0], along[n, 1] = c * x - s * y, s * x + c * y
+        order = on[order]
+        density = in_line(C, r, order, along)
+        at, rate = p1[i[order]], W.rate[i[order]]
+        share = shares(G, H, i[order], j[order], at, along, rate, pitch)
+        for n in range(1, len(order)):
+            densities += density[n] / 2
+            regular -= np.log1p(share[n] * np.exp(density[n]) / rate[n]) / 2
+            regular -= share[n] * W.both[i[order[n]]] / 2
+    return worth + densities, regular

@@ -200,12 +200,18 @@ def joined(A, B, T0, i, j, prior_sigma):
     """Two maps joined at pairs: residuals r (3k,), inverse L^-1 of their covariance's Cholesky factor (3k, 3k),
     weights C^-1 r (3k,) and T12's posterior mean (3,)."""
     _, _, shift, variance = overlays(A, i, B, j, T0[2])
-    r = residuals(A, B, T0, i, j, shift)
-    inverse = inverse_of_factor(np.linalg.cholesky(covariance(A, B, T0, i, j, variance, prior_sigma)))
+    C = covariance(A, B, T0, i, j, variance, prior_sigma)
+    return solved(B, T0, j, residuals(A, B, T0, i, j, shift), C, prior_sigma)
+
+
+@kernel
+def solved(B, T0, j, r, C, prior_sigma):
+    """`joined`, given the residuals r (3k,) and their covariance C (3k, 3k)."""
+    inverse = inverse_of_factor(np.linalg.cholesky(C))
     weights = inverse.T @ (inverse @ r)
     step = np.zeros(3)
     by = turned(B, T0)
-    for n in range(len(i)):
+    for n in range(len(j)):
         step[0] += weights[3 * n]
         step[1] += weights[3 * n + 1]
         step[2] += by.x[j[n]] * weights[3 * n] + by.y[j[n]] * weights[3 * n + 1] + weights[3 * n + 2]
@@ -239,6 +245,17 @@ def bent(A, B, T0, T12, i, j, weights):
     p2[:, 0] = T12[0] + c * q[:, 0] - s * q[:, 1]
     p2[:, 1] = T12[1] + s * q[:, 0] + c * q[:, 1]
     return p1, p2
+
+
+@kernel
+def at_rest(A, B, T0, i, j, prior_sigma):
+    """All that is asked of two maps joined at pairs: their arms laid on each other (`overlays`), covariance and all of
+    `joined`, and where the landmarks of both maps then are (`bent`)."""
+    same, other, shift, variance = overlays(A, i, B, j, T0[2])
+    C = covariance(A, B, T0, i, j, variance, prior_sigma)
+    r, inverse, weights, T12 = solved(B, T0, j, residuals(A, B, T0, i, j, shift), C, prior_sigma)
+    p1, p2 = bent(A, B, T0, T12, i, j, weights)
+    return same, other, shift, variance, C, r, inverse, weights, T12, p1, p2
 
 
 @kernel
@@ -307,23 +324,6 @@ def left_out(inverse, weights):
             innovation[n, a] = 0.0
             for b in range(3):
                 innovation[n, a] += V[n, a, b] * weights[3 * n + b]
-    return innovation, V
-
-
-@kernel
-def given_before(C, r):
-    """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it: C (3k, 3k) of residuals r."""
-    L = np.linalg.cholesky(C)
-    k = len(r) // 3
-    innovation, V = np.zeros((k, 3)), np.zeros((k, 3, 3))
-    z = np.empty(3 * k)
-    for row in range(3 * k):
-        z[row] = (r[row] - L[row, :row] @ z[:row]) / L[row, row]
-        n, a = row // 3, row % 3
-        for l in range(a + 1):
-            innovation[n, a] += L[row, 3 * n + l] * z[3 * n + l]
-            for b in range(3):
-                V[n, a, b] += L[row, 3 * n + l] * L[3 * n + b, 3 * n + l]
     return innovation, V
 
 

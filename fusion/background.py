@@ -189,6 +189,16 @@ class Background:
         return one, two
 
     @cached_property
+    def worth(self) -> Any:
+        """What matches along corridors are worth, as the compiled loops take it (`_evidence_kernels.Worth`)."""
+        order = tuple(Kind)
+        kind1, kind2 = (np.array([order.index(kind) for kind in kinds], dtype=np.intp) for kinds in self.kinds)
+        return evidence_kernels().Worth(
+            *(self.points1, self.points2, self.there1, self.there2, kind1, kind2),
+            *(self.rates1, self.ways1, self.rarity1, self.both1),
+        )
+
+    @cached_property
     def rarity1(self) -> Array:
         """-log of the share (n1,) that the kind of each landmark of map 1 has of those of its label, in both maps."""
         of_kind: defaultdict[tuple[str, Kind], float] = defaultdict(float)
