@@ -238,8 +238,8 @@ def any_of_each(table):
 
 @kernel
 def clashes(p1, p2, corner1, corner2, free1, free2, width):
-    """Pairs (k,), (k,) of free landmarks within ``width`` [m] of one of the other type, nearest first, each in one pair at
-    most; of equally near ones the first."""
+    """Pairs (k,), (k,) of free landmarks within ``width`` [m] of one of the other type, nearest first, each in one pair
+    at most; of equally near ones the first."""
     near = [(0.0, 0, 0)][:0]
     for i in range(len(p1)):
         for j in range(len(p2)):
@@ -539,10 +539,8 @@ def shares(G, H, i, j, at, along, rate, pitch):
             dx, dy = at[k, 0] - at[m, 0], at[k, 1] - at[m, 1]
             ahead, beside = abs(dx * x + dy * y), abs(dy * x - dx * y)
             # on a grid of one pitch any corner tells where the others are, elsewhere only those of the same corridor
-            if pitch:
-                before = G.spatial[i[m]] or not corners
-            else:
-                before = beside < LINE_WIDTH_M and ahead > LINE_WIDTH_M
+            on_corridor = beside < LINE_WIDTH_M and ahead > LINE_WIDTH_M
+            before = (G.spatial[i[m]] or not corners) if pitch else on_corridor
             if before and ahead + beside < least:
                 nearest_before, least = m, ahead + beside
             on_a_line |= ahead < LINE_WIDTH_M and beside > LINE_WIDTH_M and G.spatial[i[m]]

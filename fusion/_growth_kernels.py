@@ -250,12 +250,26 @@ def bent(A, B, T0, T12, i, j, weights):
 @kernel
 def at_rest(A, B, T0, i, j, prior_sigma):
     """All that is asked of two maps joined at pairs: their arms laid on each other (`overlays`), covariance and all of
-    `joined`, and where the landmarks of both maps then are (`bent`)."""
+    `joined`, T12's posterior covariance, and where the landmarks of both maps then are (`bent`)."""
     same, other, shift, variance = overlays(A, i, B, j, T0[2])
     C = covariance(A, B, T0, i, j, variance, prior_sigma)
     r, inverse, weights, T12 = solved(B, T0, j, residuals(A, B, T0, i, j, shift), C, prior_sigma)
     p1, p2 = bent(A, B, T0, T12, i, j, weights)
-    return same, other, shift, variance, C, r, inverse, weights, T12, p1, p2
+    known = T12_covariance(B, T0, j, inverse, prior_sigma)
+    return same, other, shift, variance, C, r, inverse, weights, T12, known, p1, p2
+
+
+@kernel
+def T12_covariance(B, T0, j, inverse, prior_sigma):
+    """Posterior covariance (3, 3) of T12: ``S - S J' C^-1 J S`` with its prior S and the pairs' Jacobians J."""
+    by = turned(B, T0)
+    J = np.zeros((3 * len(j), 3))
+    for n in range(len(j)):
+        for a in range(3):
+            J[3 * n + a, a] = prior_sigma[a] ** 2
+        J[3 * n, 2], J[3 * n + 1, 2] = by.x[j[n]] * prior_sigma[2] ** 2, by.y[j[n]] * prior_sigma[2] ** 2
+    X = inverse @ J
+    return np.diag(prior_sigma**2) - X.T @ X
 
 
 @kernel

@@ -7,7 +7,9 @@ on speaks for an overlap (docs/evidence.md).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -83,10 +85,11 @@ def passing_at(
     return Passing(missed1, missed2, blocked, through1, through2, *clash, crossed, overlap, area_overlap)
 
 
+@cache
 def _limits(config: EvidenceConfig) -> Any:
     """When a robot passed a landmark, and when corridors cross (`_evidence_kernels.Limits`)."""
-    width, angle = config.corridor_width_m, float(np.deg2rad(config.corridor_angle_deg))
-    sine = float(np.sin(np.deg2rad(CROSSING_DEG)))
+    width, angle = config.corridor_width_m, math.radians(config.corridor_angle_deg)
+    sine = math.sin(math.radians(CROSSING_DEG))
     return evidence_kernels().Limits(float(width), angle, END_MARGIN_M, sine, CROSSING_CLEAR_M)
 
 
@@ -113,4 +116,4 @@ def per_crossing(background: Background) -> float:
 
 def per_arm(config: EvidenceConfig) -> float:
     """What an arm that contradicts takes off [nats]."""
-    return float(np.log(config.arm_error_rate / 0.5))
+    return math.log(config.arm_error_rate / 0.5)
