@@ -68,8 +68,14 @@ class Terms:
         """Sum of all terms."""
         return float(sum(_each_term(self)))
 
+    @property
+    def by_name(self) -> dict[str, float]:
+        """All terms by their names."""
+        return dict(zip(_NAMES, _each_term(self), strict=True))
 
-_each_term = attrgetter(*(f.name for f in fields(Terms)))
+
+_NAMES = tuple(f.name for f in fields(Terms))
+_each_term = attrgetter(*_NAMES)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,10 +183,14 @@ def _links(
 ) -> list[Link]:
     """A landmark's links in the group's frame, where its directions turn by ``turn`` [rad], to the merged landmarks."""
     return [
-        replace(
-            link,
-            heading=None if link.heading is None else wrapped(link.heading + turn),
-            connected_to_id=_target(map_, r, link, name_of, own),
+        Link(
+            link.type,
+            None if link.heading is None else wrapped(link.heading + turn),
+            link.compass,
+            _target(map_, r, link, name_of, own),
+            link.distance,
+            link.travel_counter,
+            link.extra,
         )
         for link in landmark.links
     ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets import se2
+from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import pair_problem
 from mapfuse.matching.hypothesis import Hypothesis
@@ -63,11 +63,11 @@ def grow_all(
     explained: list[tuple[frozenset[tuple[int, int]], float]] = []
     for hypothesis in hypotheses:
         seed = _seed(m1, m2, hypothesis)
-        theta = hypothesis.T12.theta
-        if any(set(seed) <= pairs and abs(se2.wrap(theta - turn)) < 0.5 for pairs, turn in explained):
+        theta, of_seed = hypothesis.T12.theta, frozenset(seed)
+        if any(of_seed <= pairs and abs(wrap(theta - turn)) < 0.5 for pairs, turn in explained):
             continue
         growth = grow(m1, m2, hypothesis.T12.array, seed, config, may)
-        explained.append((growth.pairs | set(seed), float(growth.joined.T12[2])))
+        explained.append((growth.pairs | of_seed, float(growth.joined.T12[2])))
         grown.append(growth)
     by_known = grow_known(m1, m2, known, config)
     grown = [by_known, *grown] if by_known is not None else grown
@@ -113,9 +113,9 @@ def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
     near = (off**2).sum(axis=2) <= (count[:, None] + count) * tolerance_m**2
     kept: list[int] = []
     for k, g in enumerate(growths):
-        if same[k, kept].any():
-            continue
-        if not any(_on_one_place(g, growths[other], tolerance_m) for other in kept if near[k, other]):
+        if not any(same[k][kept]) and not any(
+            _on_one_place(g, growths[other], tolerance_m) for other in kept if near[k, other]
+        ):
             kept.append(k)
     return [ordered[k] for k in kept]
 
