@@ -533,8 +533,17 @@ def optimum(A, B, T0, partner, limits):
 
 @kernel
 def grown(A, B, T0, partner, may, known, limits):
-    """From seed pairs at ``T0`` to all that are the same: partners of map 1's landmarks (n1,), -1 without; T12 (3,) at
-    which they are linearised; rounds. ``known`` (n1,): partners that stay, or -1."""
+    """From seed pairs at ``T0`` to all that are the same: places i of map 1's landmarks and j of map 2's; T12 (3,) at
+    which they are linearised; rounds; and all that is asked of them (`at_rest`). ``known`` (n1,): partners that stay,
+    or -1."""
+    partner, T0, rounds = stood_still(A, B, T0, partner, may, known, limits)
+    i, j = sorted_pairs(partner)
+    return i, j, T0, rounds, at_rest(A, B, T0, i, j, limits.prior_sigma)
+
+
+@kernel
+def stood_still(A, B, T0, partner, may, known, limits):
+    """The partners of map 1's landmarks (n1,), T12 and the rounds of `grown`."""
     T0 = optimum(A, B, T0, partner, limits)
     seen = np.empty((limits.rounds, len(partner)), np.intp)
     rounds = 0

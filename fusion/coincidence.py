@@ -56,6 +56,8 @@ def _in_order(joined: Joined, order: Index) -> tuple[Array, Array]:
 def point_matches(joined: Joined, background: Background) -> float:
     """Matched point landmarks [nats]: density of the residual in the plane, given the corridor landmarks and those
     before."""
+    if not background.has_points:
+        return 0.0
     is_point = background.points1[joined.i] & background.points2[joined.j]
     if not is_point.any():
         return 0.0

@@ -8,7 +8,7 @@ The loops are compiled (`_growth_kernels`), and are those that grow a hypothesis
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
 from typing import Any
@@ -84,13 +84,17 @@ class ArmOverlay:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Two maps given that the landmarks ``i`` of map 1 are the landmarks ``j`` of map 2, linearised at ``T0``."""
+    """Two maps given that the landmarks ``i`` of map 1 are the landmarks ``j`` of map 2, linearised at ``T0``.
+
+    ``known``: what the compiled loop that found them has worked out already (`_growth_kernels.at_rest`).
+    """
 
     m1: PreparedMap
     m2: PreparedMap
     T0: Array
     i: Index
     j: Index
+    known: tuple[Array, ...] | None = field(default=None, repr=False)
 
     @cached_property
     def _sides(self) -> tuple[Any, Any]:
@@ -99,6 +103,8 @@ class Joined:
     @cached_property
     def _at_rest(self) -> tuple[Array, ...]:
         """All there is to know, in one compiled call."""
+        if self.known is not None:
+            return self.known
         found: tuple[Array, ...] = growth_kernels().at_rest(*self._sides, self.T0, self.i, self.j, PRIOR_SIGMA)
         return found
 

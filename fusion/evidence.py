@@ -142,7 +142,7 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     arms += per_arm(config) * int(joined.arms.contradict.sum())
     compass = _compass(joined.m1, joined.m2, float(joined.T12[2]))
     matches, regular = corridor_matches(joined, background, math.radians(config.corridor_angle_deg))
-    on_corridors = bool((~background.points1[joined.i]).any())
+    on_corridors = not background.has_points or not background.points1[joined.i].all()
     prior = corridor_prior(background, way.overlap) if on_corridors else point_prior(background)
     terms = Terms(
         prior=prior - config.look_elsewhere,

@@ -95,7 +95,7 @@ def grow(
     ``known``: pairs that are matches whatever their residuals say.
     """
     may = compatible(m1, m2) if may_match is None else may_match
-    partner, T0, rounds = growth_kernels().grown(
+    i, j, T0, rounds, at_rest = growth_kernels().grown(
         side(m1),
         side(m2),
         np.asarray(T12, dtype=float),
@@ -104,8 +104,7 @@ def grow(
         _partners(len(m1), *_columns(known)),
         _limits(config),
     )
-    i = np.flatnonzero(partner >= 0)
-    return Growth(Joined(m1, m2, T0, i, partner[i]), rounds)
+    return Growth(Joined(m1, m2, T0, i, j, at_rest), rounds)
 
 
 def _partners(n1: int, i: Sequence[int] | Index, j: Sequence[int] | Index) -> Index:

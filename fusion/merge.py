@@ -128,10 +128,10 @@ def merged_landmarks(
         _landmark(maps, place, poses, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group, name_of)
         for k, place in enumerate(places)
     )
-    rows = 3 if all(landmark.heading is not None for landmark in landmarks) else 2
-    kept = np.array([3 * k + row for k in range(len(places)) for row in range(rows)], dtype=np.intp)
+    height = 3 if all(landmark.heading is not None for landmark in landmarks) else 2
+    kept = np.array([3 * k + row for k in range(len(places)) for row in range(height)], dtype=np.intp)
     order = tuple(landmark.id for landmark in landmarks)
-    return landmarks, JointCovariance(order, rows, fused_joint[np.ix_(kept, kept)])
+    return landmarks, JointCovariance(order, height, fused_joint[np.ix_(kept, kept)])
 
 
 def _landmark(
