@@ -94,18 +94,18 @@ class Joined:
     T0: Array
     i: Index
     j: Index
-    known: tuple[Array, ...] | None = field(default=None, repr=False)
+    known: tuple[Any, ...] | None = field(default=None, repr=False)
 
     @cached_property
     def _sides(self) -> tuple[Any, Any]:
         return side(self.m1), side(self.m2)
 
     @cached_property
-    def _at_rest(self) -> tuple[Array, ...]:
+    def _at_rest(self) -> tuple[Any, ...]:
         """All there is to know, in one compiled call."""
         if self.known is not None:
             return self.known
-        found: tuple[Array, ...] = growth_kernels().at_rest(*self._sides, self.T0, self.i, self.j, PRIOR_SIGMA)
+        found: tuple[Any, ...] = growth_kernels().at_rest(*self._sides, self.T0, self.i, self.j, PRIOR_SIGMA)
         return found
 
     @cached_property
@@ -124,32 +124,32 @@ class Joined:
     @property
     def covariance(self) -> Array:
         """Of the residuals, T12's prior included (3k, 3k)."""
-        return self._at_rest[4]
+        return np.asarray(self._at_rest[4])
 
     @property
     def r(self) -> Array:
         """Residuals at ``T0`` (3k,)."""
-        return self._at_rest[5]
+        return np.asarray(self._at_rest[5])
 
     @property
     def inverse_factor(self) -> Array:
         """Inverse of the Cholesky factor of `covariance` (3k, 3k), lower triangular."""
-        return self._at_rest[6]
+        return np.asarray(self._at_rest[6])
 
     @property
     def weights(self) -> Array:
         """C^-1 r (3k,)."""
-        return self._at_rest[7]
+        return np.asarray(self._at_rest[7])
 
     @property
     def T12(self) -> Array:
         """Posterior mean of T12 (3,)."""
-        return self._at_rest[8]
+        return np.asarray(self._at_rest[8])
 
     @property
     def T12_covariance(self) -> Array:
         """Posterior covariance of T12 (3, 3)."""
-        return self._at_rest[9]
+        return np.asarray(self._at_rest[9])
 
     def corrected(self) -> tuple[Array, Array]:
         """Posterior positions of both maps' landmarks in frame 1, (n1, 2) and (n2, 2): each map bent onto the other."""

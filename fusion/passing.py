@@ -70,7 +70,7 @@ def passing_at(
     """
     p1, p2 = (np.ascontiguousarray(p) for p in placed)
     kernels, turn = evidence_kernels(), float(T12[2])
-    by1, by2, through1, through2, blocked, clash, overlap, crossed = kernels.passing(
+    by1, by2, through1, through2, blocked, (clash1, clash2), overlap, crossed = kernels.passing(
         *background.ways, turn, p1, p2, *matched, _limits(config)
     )
     area_overlap = 0.0
@@ -82,7 +82,7 @@ def passing_at(
         area_overlap = background.area1.area(moved)
     by1[matched[0]], by2[matched[1]] = False, False
     missed1, missed2 = np.flatnonzero(by1), np.flatnonzero(by2)
-    return Passing(missed1, missed2, blocked, through1, through2, *clash, crossed, overlap, area_overlap)
+    return Passing(missed1, missed2, blocked, through1, through2, clash1, clash2, crossed, overlap, area_overlap)
 
 
 @cache

@@ -25,6 +25,7 @@ from .prepared import PreparedMap
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# `_evidence_kernels` has those of rhythms and lines once more, since numba's cache looks at no other file.
 #: Distances [m] along a corridor up to which landmarks are taken to stand in a rhythm.
 REACH_M = 25.0
 #: Two distances are the same to within this [m] and this share of them.

@@ -222,7 +222,7 @@ def _robust_optimum(problem: Problem) -> dict[Unknown, Array]:
 
 def _finite_poses(problem: Problem, values: Any) -> dict[Unknown, Array]:
     poses = problem.poses(values)
-    if not all(np.isfinite(pose).all() for pose in poses.values()):
+    if not np.isfinite(list(poses.values())).all():
         raise MapfuseError("the solver left finite numbers; the maps' noise or positions are out of proportion")
     return poses
 
