@@ -14,6 +14,7 @@ from dataclasses import asdict
 
 import baseline
 import command_bench
+import fuse_bench
 import log_bench
 import matching_bench
 import reference
@@ -56,7 +57,12 @@ def matching_metrics(repeat: int) -> list[Metric]:
 
 def measure(repeat: int) -> list[Metric]:
     """Every metric, once."""
-    return [*matching_metrics(repeat), *command_bench.metrics(repeat), *log_bench.metrics()]
+    return [
+        *matching_metrics(repeat),
+        *fuse_bench.metrics(repeat),
+        *command_bench.metrics(repeat),
+        *log_bench.metrics(),
+    ]
 
 
 def main() -> int:
