@@ -7,6 +7,10 @@ runs; those that are compared across machines are divided by a reference workloa
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: idle threads spin, and count as processor time
+
 import argparse
 import json
 import sys
