@@ -7,6 +7,10 @@ runs; those that are compared across machines are divided by a reference workloa
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: idle threads spin, and count as processor time
+
 import argparse
 import json
 import sys
@@ -14,6 +18,7 @@ from dataclasses import asdict
 
 import baseline
 import command_bench
+import fuse_bench
 import log_bench
 import matching_bench
 import reference
@@ -56,7 +61,12 @@ def matching_metrics(repeat: int) -> list[Metric]:
 
 def measure(repeat: int) -> list[Metric]:
     """Every metric, once."""
-    return [*matching_metrics(repeat), *command_bench.metrics(repeat), *log_bench.metrics()]
+    return [
+        *matching_metrics(repeat),
+        *fuse_bench.metrics(repeat),
+        *command_bench.metrics(repeat),
+        *log_bench.metrics(),
+    ]
 
 
 def main() -> int:

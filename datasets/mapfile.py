@@ -116,6 +116,20 @@ def map_to_dict(map_: LandmarkMap) -> dict[str, Any]:
     document, problems = _described(map_)
     if problems:
         raise MapError(map_.name, problems)
+    return _without_arrays(document)
+
+
+def checked_dict(map_: LandmarkMap) -> tuple[dict[str, Any], tuple[Problem, ...]]:
+    """`map_to_dict` and `validate` in one: what stands in the file, and every rule that the map breaks.
+
+    Where it breaks one, the document is empty.
+    """
+    document, problems = _described(map_)
+    return ({} if problems else _without_arrays(document)), problems
+
+
+def _without_arrays(document: dict[str, Any]) -> dict[str, Any]:
+    """The document of a map, its arrays as lists."""
     for record in document["landmarks"]:
         if "covariance" in record:
             record["covariance"] = record["covariance"].tolist()

@@ -8,14 +8,79 @@ the formulas.
 from __future__ import annotations
 
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapfuse.datasets.compiled import kernel
 
 TWO_PI = 2 * np.pi
 # A link shorter than this [m] has no direction to speak of.
 SHORT_M = 0.5
+# Constants of `mapfuse.fusion.regularity`.
+REACH_M = 25.0
+SAME_DISTANCE_M, SAME_DISTANCE_SHARE = 0.5, 0.03
+ON_A_LINE, LINE_WIDTH_M, DOUBT = 0.5, 1.0, 2.0
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+
+class Ways(NamedTuple):
+    """n landmarks of one map and the corridors (m, 2) between them, as `mapfuse.fusion.prepared.PreparedMap` has them;
+    ``corner``, ``spatial`` (n,): which are corners by their type, which corners or junctions."""
+
+    xy: Array
+    corridors: Index
+    arm: Array
+    passable: Flags
+    corner: Flags
+    spatial: Flags
+
+
+class Rhythm(NamedTuple):
+    """Distances along one map's straight corridors, as `mapfuse.fusion.regularity.Gaps` has them."""
+
+    pairs: Index
+    distance: Array
+    origin: Index
+    exposure: Array
+    start: Index
+    label: Index
+    spatial: Flags
+
+
+class Worth(NamedTuple):
+    """What a match of each landmark of map 1 (n1,), and of map 2 (n2,), says by itself [nats].
+
+    ``point``: in the open, no corridor leads there. ``there``: the log probability that it is there. ``kind``: what its
+    arms say it is, as a number. ``rate`` [1/m]: how common its label is; ``ways``, ``rarity``: what arms that agree,
+    and a kind that agrees, are worth; ``both``: the probability that two robots record it.
+    """
+
+    point1: Flags
+    point2: Flags
+    there1: Array
+    there2: Array
+    kind1: Index
+    kind2: Index
+    rate: Array
+    ways: Array
+    rarity: Array
+    both: Array
+
+
+class Limits(NamedTuple):
+    """Half the ``width`` of a corridor [m], the ``angle`` [rad] within which directions are one, the ``margin`` [m] of
+    links' ends; by what sine corridors cross at least, and how ``clear`` [m] of landmarks and ends."""
+
+    width: float
+    angle: float
+    margin: float
+    sine: float
+    clear: float
 
 
 @kernel
@@ -149,6 +214,126 @@ def _is_clear(x, y, marks, count, clear):
     for k in range(count):
         near |= np.hypot(marks[k, 0] - x, marks[k, 1] - y) <= clear
     return not near
+
+
+@kernel
+def ends_of(xy, corridors):
+    """Both ends (m, 2) of corridors between landmarks at ``xy`` (n, 2)."""
+    start, end = np.empty((len(corridors), 2)), np.empty((len(corridors), 2))
+    for c in range(len(corridors)):
+        for axis in range(2):
+            start[c, axis], end[c, axis] = xy[corridors[c, 0], axis], xy[corridors[c, 1], axis]
+    return start, end
+
+
+@kernel
+def any_of_each(table):
+    """Which rows of a table hold anything."""
+    out = np.zeros(len(table), np.bool_)
+    for row in range(len(table)):
+        for column in range(table.shape[1]):
+            out[row] |= table[row, column]
+    return out
+
+
+@kernel
+def clashes(p1, p2, corner1, corner2, free1, free2, width):
+    """Pairs (k,), (k,) of free landmarks within ``width`` [m] of one of the other type, nearest first, each in one pair
+    at most; of equally near ones the first."""
+    near = [(0.0, 0, 0)][:0]
+    for i in range(len(p1)):
+        for j in range(len(p2)):
+            if free1[i] and free2[j] and corner1[i] != corner2[j]:
+                apart = np.hypot(p1[i, 0] - p2[j, 0], p1[i, 1] - p2[j, 1])
+                if apart < width:
+                    heappush(near, (apart, i, j))
+    free1, free2 = free1.copy(), free2.copy()
+    first, second, count = np.empty(len(near), np.intp), np.empty(len(near), np.intp), 0
+    while near:
+        _, i, j = heappop(near)
+        if free1[i] and free2[j]:
+            first[count], second[count] = i, j
+            free1[i] = free2[j] = False
+            count += 1
+    return first[:count].copy(), second[:count].copy()
+
+
+@kernel
+def passing(A, B, turn, p1, p2, i, j, limits):
+    """What each robot passed of the other's map, whose landmarks lie at ``p1`` (n1, 2) and ``p2`` (n2, 2), map 2
+    turned by ``turn`` [rad], the landmarks i and j being the same; as `mapfuse.fusion.passing.Passing` has it.
+
+    Which landmarks of map 1, of map 2 were passed; through how many blocked arms of each, and of matched ones; clashes;
+    corridor of both [m]; how many corridors cross bare.
+    """
+    start1, end1 = ends_of(p1, A.corridors)
+    start2, end2 = ends_of(p2, B.corridors)
+    inside1 = passes(p2, start1, end1, limits.width, limits.margin)
+    inside2 = passes(p1, start2, end2, limits.width, limits.margin)
+    through1 = blocked_ways(inside2, A.arm, A.passable, 0.0, start2, end2, limits.angle)
+    through2 = blocked_ways(inside1, B.arm, B.passable, turn, start1, end1, limits.angle)
+    blocked = 0
+    free1, free2 = A.spatial.copy(), B.spatial.copy()
+    for n in range(len(i)):
+        blocked += through1[i[n]] + through2[j[n]]
+        free1[i[n]] = free2[j[n]] = False
+    # a corner that the other robot drove straight across contradicts, whatever its arms
+    across1, across2 = any_of_each(inside2), any_of_each(inside1)
+    for k in range(len(p1)):
+        if A.corner[k] and across1[k] and not through1[k]:
+            through1[k] = 1
+    for k in range(len(p2)):
+        if B.corner[k] and across2[k] and not through2[k]:
+            through2[k] = 1
+    cosine = np.cos(limits.angle)
+    overlap = covered(start1, end1, start2, end2, limits.width, cosine)
+    overlap += covered(start2, end2, start1, end1, limits.width, cosine)
+    crossed = crossings(start1, end1, start2, end2, np.concatenate((p1, p2)), limits.clear, limits.sine)
+    return (
+        any_of_each(passes(p1, start2, end2, limits.width, 0.0)),
+        any_of_each(passes(p2, start1, end1, limits.width, 0.0)),
+        through1,
+        through2,
+        blocked,
+        clashes(p1, p2, A.corner, B.corner, free1, free2, limits.width),
+        overlap / 2,
+        len(crossed),
+    )
+
+
+@kernel
+def unseen(false, either, through, k, per_arm):
+    """Log probability of what the other robot shows at landmark k, by that it passed it unseen, and by that and the
+    blocked arms that it drove ``through``, each worth ``per_arm`` [nats].
+
+    ``false`` (n,): that the landmark isn't there, ``either`` (n,): that, or that it was missed. A landmark that isn't
+    there says nothing of its arms.
+    """
+    driven = np.log(false[k] + np.exp(per_arm * through[k]) * max(either[k] - false[k], 0.0))
+    return np.log(either[k]), driven
+
+
+@kernel
+def silence(false1, either1, missed1, through1, false2, either2, missed2, through2, clash1, clash2, per_arm):
+    """Misses and arms [nats] of what two robots did not see of each other's landmarks: ``missed`` (k,) ones of either
+    map, and those that ``clash`` (m,); ``false``, ``either`` and ``through`` as in `unseen`."""
+    misses = arms = 0.0
+    for k in missed1:
+        seen, driven = unseen(false1, either1, through1, k, per_arm)
+        misses += seen
+        arms += driven - seen
+    for k in missed2:
+        seen, driven = unseen(false2, either2, through2, k, per_arm)
+        misses += seen
+        arms += driven - seen
+    for n in range(len(clash1)):
+        a, b = clash1[n], clash2[n]
+        one, other = unseen(false1, either1, through1, a, per_arm)[1], unseen(false2, either2, through2, b, per_arm)[1]
+        # two robots were there, and one of them is wrong: all cases but that both are right
+        right = (np.exp(one) - false1[a]) * (np.exp(other) - false2[b])
+        misses += np.log(np.exp(one) * np.exp(other) - right)
+        misses -= one * (missed1 == a).any() + other * (missed2 == b).any()
+    return misses, arms
 
 
 @kernel
@@ -310,3 +495,147 @@ def times_met(pairs, distances, origin, exposure, start, label, a, b, at, tolera
         if start[origin[k]] == a and beyond > 0:
             could += 1 + int(beyond / period) if period > 0 else 1
     return met, could
+
+
+@kernel
+def same_distance(distance):
+    """By how much [m] two distances like this one may differ and be the same."""
+    return SAME_DISTANCE_M + SAME_DISTANCE_SHARE * distance
+
+
+@kernel
+def rhythm(G, H, pair1, pair2, at, rate, pitch):
+    """Share of landmarks like the first of a pair that have one like the second ``at`` [m] from them, beyond chance.
+
+    ``pair1``, ``pair2``: the same two landmarks in either map; ``rate`` [1/m]: how common those like the second are.
+    """
+    if at > REACH_M and not pitch:
+        return 0.0
+    a, b, tolerance = G.start[pair1[0]], G.label[pair1[1]], same_distance(at)
+    met1, could1 = times_met(
+        G.pairs, G.distance, G.origin, G.exposure, G.start, G.label, a, b, at, tolerance, pitch, pair1
+    )
+    met2, could2 = times_met(
+        H.pairs, H.distance, H.origin, H.exposure, H.start, H.label, a, b, at, tolerance, pitch, pair2
+    )
+    met, could = met1 + met2, could1 + could2
+    if pitch:
+        return met / (could + DOUBT)
+    by_chance = could * rate * 2 * tolerance
+    return max(met - by_chance - np.sqrt(by_chance), 0.0) / (could + DOUBT)
+
+
+@kernel
+def shares(G, H, i, j, at, along, rate, pitch):
+    """Share (k,) of other buildings of this style that have a landmark of match k's label where it stands, as
+    `mapfuse.fusion.regularity.Regularity.shares` says."""
+    out = np.zeros(len(i))
+    corners = 0
+    for k in range(len(i)):
+        x, y = along[k]
+        nearest_before, least = -1, np.inf
+        on_a_line = False
+        for m in range(k):
+            dx, dy = at[k, 0] - at[m, 0], at[k, 1] - at[m, 1]
+            ahead, beside = abs(dx * x + dy * y), abs(dy * x - dx * y)
+            # on a grid of one pitch any corner tells where the others are, elsewhere only those of the same corridor
+            on_corridor = beside < LINE_WIDTH_M and ahead > LINE_WIDTH_M
+            before = (G.spatial[i[m]] or not corners) if pitch else on_corridor
+            if before and ahead + beside < least:
+                nearest_before, least = m, ahead + beside
+            on_a_line |= ahead < LINE_WIDTH_M and beside > LINE_WIDTH_M and G.spatial[i[m]]
+        if nearest_before >= 0:
+            m = nearest_before
+            ahead = abs((at[k, 0] - at[m, 0]) * x + (at[k, 1] - at[m, 1]) * y)
+            out[k] = rhythm(G, H, (i[m], i[k]), (j[m], j[k]), ahead, rate[k], pitch)
+        if G.spatial[i[k]] and on_a_line:
+            out[k] = max(out[k], ON_A_LINE)
+        corners += G.spatial[i[k]]
+    return out
+
+
+@kernel
+def given_before(C, r):
+    """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it: C (3k, 3k) of residuals r."""
+    L = np.linalg.cholesky(C)
+    k = len(r) // 3
+    innovation, V = np.zeros((k, 3)), np.zeros((k, 3, 3))
+    z = np.empty(3 * k)
+    for row in range(3 * k):
+        z[row] = (r[row] - L[row, :row] @ z[:row]) / L[row, row]
+        n, a = row // 3, row % 3
+        for l in range(a + 1):
+            innovation[n, a] += L[row, 3 * n + l] * z[3 * n + l]
+            for b in range(3):
+                V[n, a, b] += L[row, 3 * n + l] * L[3 * n + b, 3 * n + l]
+    return innovation, V
+
+
+@kernel
+def least_known(V):
+    """Direction (x, y) in which a covariance (2, 2 or more) of positions is widest."""
+    angle = np.arctan2(2 * V[0, 1], V[0, 0] - V[1, 1]) / 2
+    return np.cos(angle), np.sin(angle)
+
+
+@kernel
+def in_line(C, r, order, along):
+    """Log density (k,) [nats per m] of the residuals of the matches ``order`` (k,) along their directions (k, 2), given
+    those before. Where there is no direction (NaN) it is the least known one, which is written there.
+
+    C, r: covariance and residuals of all matches.
+    """
+    k = len(order)
+    own_C, own_r = np.empty((3 * k, 3 * k)), np.empty(3 * k)
+    for n in range(k):
+        for a in range(3):
+            own_r[3 * n + a] = r[3 * order[n] + a]
+            for m in range(k):
+                for b in range(3):
+                    own_C[3 * n + a, 3 * m + b] = C[3 * order[n] + a, 3 * order[m] + b]
+    innovation, V = given_before(own_C, own_r)
+    density = np.empty(k)
+    for n in range(k):
+        if np.isnan(along[n, 0]):
+            along[n, 0], along[n, 1] = least_known(V[n])
+        x, y = along[n]
+        u = x * innovation[n, 0] + y * innovation[n, 1]
+        v = x * x * V[n, 0, 0] + 2 * x * y * V[n, 0, 1] + y * y * V[n, 1, 1]
+        density[n] = -0.5 * u * u / v - 0.5 * np.log(TWO_PI * v)
+    return density
+
+
+@kernel
+def on_corridors(A, B, G, H, W, pitch, turn, i, j, coincide, contradict, C, r, p1):
+    """What matched corridor landmarks say [nats], and what a regular building takes off that.
+
+    A, B, G, H: `Ways` and `Rhythm` of both maps, map 2 turned by ``turn`` [rad]; W: `Worth`. The matches i, j (k,) with
+    how many of their arms ``coincide`` and ``contradict``, covariance C and residuals r; ``p1`` (n1, 2): where the
+    landmarks of map 1 then are.
+    """
+    on = np.flatnonzero(~W.point1[i] & ~W.point2[j])
+    worth = densities = regular = 0.0
+    for n in on:
+        worth += W.there1[i[n]] + W.there2[j[n]] - np.log(W.rate[i[n]])
+        if coincide[n] >= 2 and contradict[n] == 0:
+            worth += W.ways[i[n]]
+            if W.kind1[i[n]] == W.kind2[j[n]]:
+                worth += W.rarity[i[n]]
+    if len(on) < 2:  # a single one is what places map 2: its density is the prior of T12
+        return worth, 0.0
+    for second in range(2):
+        ways, matched, by = (B, j[on], turn) if second else (A, i[on], 0.0)
+        order, along = visited(ways.xy, ways.corridors, ways.arm, ways.passable, matched)
+        c, s = np.cos(by), np.sin(by)
+        for n in range(len(along)):
+            x, y = along[n]
+            along[n, 0], along[n, 1] = c * x - s * y, s * x + c * y
+        order = on[order]
+        density = in_line(C, r, order, along)
+        at, rate = p1[i[order]], W.rate[i[order]]
+        share = shares(G, H, i[order], j[order], at, along, rate, pitch)
+        for n in range(1, len(order)):
+            densities += density[n] / 2
+            regular -= np.log1p(share[n] * np.exp(density[n]) / rate[n]) / 2
+            regular -= share[n] * W.both[i[order[n]]] / 2
+    return worth + densities, regular

@@ -200,12 +200,18 @@ def joined(A, B, T0, i, j, prior_sigma):
     """Two maps joined at pairs: residuals r (3k,), inverse L^-1 of their covariance's Cholesky factor (3k, 3k),
     weights C^-1 r (3k,) and T12's posterior mean (3,)."""
     _, _, shift, variance = overlays(A, i, B, j, T0[2])
-    r = residuals(A, B, T0, i, j, shift)
-    inverse = inverse_of_factor(np.linalg.cholesky(covariance(A, B, T0, i, j, variance, prior_sigma)))
+    C = covariance(A, B, T0, i, j, variance, prior_sigma)
+    return solved(B, T0, j, residuals(A, B, T0, i, j, shift), C, prior_sigma)
+
+
+@kernel
+def solved(B, T0, j, r, C, prior_sigma):
+    """`joined`, given the residuals r (3k,) and their covariance C (3k, 3k)."""
+    inverse = inverse_of_factor(np.linalg.cholesky(C))
     weights = inverse.T @ (inverse @ r)
     step = np.zeros(3)
     by = turned(B, T0)
-    for n in range(len(i)):
+    for n in range(len(j)):
         step[0] += weights[3 * n]
         step[1] += weights[3 * n + 1]
         step[2] += by.x[j[n]] * weights[3 * n] + by.y[j[n]] * weights[3 * n + 1] + weights[3 * n + 2]
@@ -239,6 +245,31 @@ def bent(A, B, T0, T12, i, j, weights):
     p2[:, 0] = T12[0] + c * q[:, 0] - s * q[:, 1]
     p2[:, 1] = T12[1] + s * q[:, 0] + c * q[:, 1]
     return p1, p2
+
+
+@kernel
+def at_rest(A, B, T0, i, j, prior_sigma):
+    """All that is asked of two maps joined at pairs: their arms laid on each other (`overlays`), covariance and all of
+    `joined`, T12's posterior covariance, and where the landmarks of both maps then are (`bent`)."""
+    same, other, shift, variance = overlays(A, i, B, j, T0[2])
+    C = covariance(A, B, T0, i, j, variance, prior_sigma)
+    r, inverse, weights, T12 = solved(B, T0, j, residuals(A, B, T0, i, j, shift), C, prior_sigma)
+    p1, p2 = bent(A, B, T0, T12, i, j, weights)
+    known = T12_covariance(B, T0, j, inverse, prior_sigma)
+    return same, other, shift, variance, C, r, inverse, weights, T12, known, p1, p2
+
+
+@kernel
+def T12_covariance(B, T0, j, inverse, prior_sigma):
+    """Posterior covariance (3, 3) of T12: ``S - S J' C^-1 J S`` with its prior S and the pairs' Jacobians J."""
+    by = turned(B, T0)
+    J = np.zeros((3 * len(j), 3))
+    for n in range(len(j)):
+        for a in range(3):
+            J[3 * n + a, a] = prior_sigma[a] ** 2
+        J[3 * n, 2], J[3 * n + 1, 2] = by.x[j[n]] * prior_sigma[2] ** 2, by.y[j[n]] * prior_sigma[2] ** 2
+    X = inverse @ J
+    return np.diag(prior_sigma**2) - X.T @ X
 
 
 @kernel
@@ -307,23 +338,6 @@ def left_out(inverse, weights):
             innovation[n, a] = 0.0
             for b in range(3):
                 innovation[n, a] += V[n, a, b] * weights[3 * n + b]
-    return innovation, V
-
-
-@kernel
-def given_before(C, r):
-    """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it: C (3k, 3k) of residuals r."""
-    L = np.linalg.cholesky(C)
-    k = len(r) // 3
-    innovation, V = np.zeros((k, 3)), np.zeros((k, 3, 3))
-    z = np.empty(3 * k)
-    for row in range(3 * k):
-        z[row] = (r[row] - L[row, :row] @ z[:row]) / L[row, row]
-        n, a = row // 3, row % 3
-        for l in range(a + 1):
-            innovation[n, a] += L[row, 3 * n + l] * z[3 * n + l]
-            for b in range(3):
-                V[n, a, b] += L[row, 3 * n + l] * L[3 * n + b, 3 * n + l]
     return innovation, V
 
 
@@ -519,8 +533,17 @@ def optimum(A, B, T0, partner, limits):
 
 @kernel
 def grown(A, B, T0, partner, may, known, limits):
-    """From seed pairs at ``T0`` to all that are the same: partners of map 1's landmarks (n1,), -1 without; T12 (3,) at
-    which they are linearised; rounds. ``known`` (n1,): partners that stay, or -1."""
+    """From seed pairs at ``T0`` to all that are the same: places i of map 1's landmarks and j of map 2's; T12 (3,) at
+    which they are linearised; rounds; and all that is asked of them (`at_rest`). ``known`` (n1,): partners that stay,
+    or -1."""
+    partner, T0, rounds = stood_still(A, B, T0, partner, may, known, limits)
+    i, j = sorted_pairs(partner)
+    return i, j, T0, rounds, at_rest(A, B, T0, i, j, limits.prior_sigma)
+
+
+@kernel
+def stood_still(A, B, T0, partner, may, known, limits):
+    """The partners of map 1's landmarks (n1,), T12 and the rounds of `grown`."""
     T0 = optimum(A, B, T0, partner, limits)
     seen = np.empty((limits.rounds, len(partner)), np.intp)
     rounds = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from mapfuse.datasets.maps import CORNER, SPATIAL_TYPES
 
 from .coverage import SeenArea, Segments, bare_crossings
 from .prepared import PreparedMap
-from .regularity import Gaps, Regularity
+from .regularity import Gaps, Regularity, evidence_kernels
 
 Array = NDArray[np.float64]
 
@@ -71,6 +72,21 @@ class Background:
     def spatial2(self) -> NDArray[np.bool_]:
         """Which landmarks of map 2 are corners or junctions (n2,)."""
         return np.array([name in SPATIAL_TYPES for name in self.m2.map.types], dtype=bool)
+
+    @cached_property
+    def has_points(self) -> bool:
+        """Whether either map has point landmarks."""
+        return bool(self.points1.any() or self.points2.any())
+
+    @cached_property
+    def ways(self) -> tuple[Any, Any]:
+        """Both maps' corridors as the compiled loops take them (`_evidence_kernels.Ways`)."""
+        sides = ((self.m1, self.corners1, self.spatial1), (self.m2, self.corners2, self.spatial2))
+        one, two = (
+            evidence_kernels().Ways(m.positions, m.corridors, m.arm_headings, m.arm_passable, corners, spatial)
+            for m, corners, spatial in sides
+        )
+        return one, two
 
     @cached_property
     def area1(self) -> SeenArea:
@@ -171,6 +187,16 @@ class Background:
         """What the arms of every landmark of either map say it is."""
         one, two = (tuple(signature(landmark).kind for landmark in m.map.landmarks) for m in (self.m1, self.m2))
         return one, two
+
+    @cached_property
+    def worth(self) -> Any:
+        """What matches along corridors are worth, as the compiled loops take it (`_evidence_kernels.Worth`)."""
+        order = tuple(Kind)
+        kind1, kind2 = (np.array([order.index(kind) for kind in kinds], dtype=np.intp) for kinds in self.kinds)
+        return evidence_kernels().Worth(
+            *(self.points1, self.points2, self.there1, self.there2, kind1, kind2),
+            *(self.rates1, self.ways1, self.rarity1, self.both1),
+        )
 
     @cached_property
     def rarity1(self) -> Array:

@@ -26,29 +26,13 @@ def corridor_matches(joined: Joined, background: Background, angle: float) -> tu
 
     The order and the corridors are those of either map; the mean of both, so that neither map is the first.
     """
-    on = np.flatnonzero(~background.points1[joined.i] & ~background.points2[joined.j])
-    if not len(on):
-        return 0.0, 0.0
-    i, j = joined.i[on], joined.j[on]
-    worth = background.there1[i] + background.there2[j] - np.log(background.rates1[i])
-    kinds1, kinds2 = background.kinds
-    agree = (joined.arms.coincide[on] >= 2) & (joined.arms.contradict[on] == 0)
-    alike = agree & np.array([kinds1[a] == kinds2[b] for a, b in zip(i, j, strict=True)])
-    worth = worth + np.where(agree, background.ways1[i], 0.0) + np.where(alike, background.rarity1[i], 0.0)
-    if len(on) == 1:  # it is what places map 2: its density is the prior of T12
-        return float(worth[0]), 0.0
-    densities, regular = 0.0, 0.0
-    bent = joined.corrected()[0]
-    for m, matched, turn in ((joined.m1, i, 0.0), (joined.m2, j, float(joined.T12[2]))):
-        order, along = _visits(m, matched, turn)
-        density, along = _along(joined, on[order], along)
-        rate = background.rates1[i[order]]
-        at = bent[i[order]]
-        share = background.regularity(angle).shares(i[order], j[order], at, along, rate)
-        densities += float(density[1:].sum()) / 2
-        regular -= float(np.log1p(share * np.exp(density) / rate)[1:].sum()) / 2
-        regular -= float((share * background.both1[i[order]])[1:].sum()) / 2
-    return float(worth.sum()) + densities, regular
+    regularity, arms = background.regularity(angle), joined.arms
+    matches, regular = evidence_kernels().on_corridors(
+        *(*background.ways, regularity.gaps1.table, regularity.gaps2.table, background.worth),
+        *(regularity.pitch, float(joined.T12[2]), joined.i, joined.j, arms.coincide, arms.contradict),
+        *(joined.covariance, joined.r, joined.corrected()[0]),
+    )
+    return matches, regular
 
 
 def _visits(m: PreparedMap, matched: Index, turn: float) -> tuple[Index, Array]:
@@ -62,30 +46,18 @@ def _visits(m: PreparedMap, matched: Index, turn: float) -> tuple[Index, Array]:
     return order, along @ se2.rotation(turn).T
 
 
-def _along(joined: Joined, order: Index, along: Array) -> tuple[Array, Array]:
-    """Log density [nats per m] of each residual along its direction (k, 2) in frame 1, given those before; and the
-    directions, the least known one where there was none."""
-    innovation, V = _in_order(joined, order)
-    lost = np.isnan(along).any(axis=1)
-    if lost.any():
-        along = along.copy()
-        along[lost] = np.linalg.eigh(V[lost, :2, :2])[1][:, :, 1]
-    ax, ay = along.T
-    u = ax * innovation[:, 0] + ay * innovation[:, 1]
-    v = ax * ax * V[:, 0, 0] + 2 * ax * ay * V[:, 0, 1] + ay * ay * V[:, 1, 1]
-    return -0.5 * u * u / v - 0.5 * np.log(2 * np.pi * v), along
-
-
 def _in_order(joined: Joined, order: Index) -> tuple[Array, Array]:
     """Innovation (k, 3) and covariance (k, 3, 3) of each of the pairs ``order`` given those before it."""
     rows = (3 * order[:, None] + np.arange(3)).ravel()
-    found: tuple[Array, Array] = growth_kernels().given_before(joined.covariance[np.ix_(rows, rows)], joined.r[rows])
+    found: tuple[Array, Array] = evidence_kernels().given_before(joined.covariance[np.ix_(rows, rows)], joined.r[rows])
     return found
 
 
 def point_matches(joined: Joined, background: Background) -> float:
     """Matched point landmarks [nats]: density of the residual in the plane, given the corridor landmarks and those
     before."""
+    if not background.has_points:
+        return 0.0
     is_point = background.points1[joined.i] & background.points2[joined.j]
     if not is_point.any():
         return 0.0

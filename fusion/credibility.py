@@ -83,6 +83,8 @@ def false_by_own_map(
             told = np.where(settled[of], 1.0, seen / np.where(straight, share, 1 - share))
             odds = stated[of] / (1 - stated[of]) * told
             there = 1 / (1 + odds)
-            share = float((there[straight].sum() + first * before) / (there.sum() + before))
+            share, last = float((there[straight].sum() + first * before) / (there.sum() + before)), share
+            if share == last:  # to the last digit, as all further rounds would be
+                break
         false[of], shares[kind] = odds / (1 + odds), share
     return np.clip(false, 1e-9, 1 - 1e-9), shares

@@ -8,7 +8,7 @@ The loops are compiled (`_growth_kernels`), and are those that grow a hypothesis
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
 from typing import Any
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mapfuse.datasets.compiled import kernels
 
 from .prepared import PreparedMap
+from .regularity import evidence_kernels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -83,29 +84,34 @@ class ArmOverlay:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Two maps given that the landmarks ``i`` of map 1 are the landmarks ``j`` of map 2, linearised at ``T0``."""
+    """Two maps given that the landmarks ``i`` of map 1 are the landmarks ``j`` of map 2, linearised at ``T0``.
+
+    ``known``: what the compiled loop that found them has worked out already (`_growth_kernels.at_rest`).
+    """
 
     m1: PreparedMap
     m2: PreparedMap
     T0: Array
     i: Index
     j: Index
-
-    @cached_property
-    def arms(self) -> ArmOverlay:
-        """Arms of the pairs laid on each other."""
-        return ArmOverlay.at(self.m1, self.m2, float(self.T0[2]), self.i, self.j)
+    known: tuple[Any, ...] | None = field(default=None, repr=False)
 
     @cached_property
     def _sides(self) -> tuple[Any, Any]:
         return side(self.m1), side(self.m2)
 
     @cached_property
-    def _solved(self) -> tuple[Array, Array, Array, Array]:
-        solved: tuple[Array, Array, Array, Array] = growth_kernels().joined(
-            *self._sides, self.T0, self.i, self.j, PRIOR_SIGMA
-        )
-        return solved
+    def _at_rest(self) -> tuple[Any, ...]:
+        """All there is to know, in one compiled call."""
+        if self.known is not None:
+            return self.known
+        found: tuple[Any, ...] = growth_kernels().at_rest(*self._sides, self.T0, self.i, self.j, PRIOR_SIGMA)
+        return found
+
+    @cached_property
+    def arms(self) -> ArmOverlay:
+        """Arms of the pairs laid on each other."""
+        return ArmOverlay(*self._at_rest[:4])
 
     @cached_property
     def J(self) -> Array:
@@ -116,42 +122,38 @@ class Joined:
         return J.reshape(-1, 3)
 
     @property
-    def r(self) -> Array:
-        """Residuals at ``T0`` (3k,)."""
-        return self._solved[0]
-
-    @cached_property
     def covariance(self) -> Array:
         """Of the residuals, T12's prior included (3k, 3k)."""
-        C: Array = growth_kernels().covariance(*self._sides, self.T0, self.i, self.j, self.arms.variance, PRIOR_SIGMA)
-        return C
+        return np.asarray(self._at_rest[4])
+
+    @property
+    def r(self) -> Array:
+        """Residuals at ``T0`` (3k,)."""
+        return np.asarray(self._at_rest[5])
 
     @property
     def inverse_factor(self) -> Array:
         """Inverse of the Cholesky factor of `covariance` (3k, 3k), lower triangular."""
-        return self._solved[1]
+        return np.asarray(self._at_rest[6])
 
     @property
     def weights(self) -> Array:
         """C^-1 r (3k,)."""
-        return self._solved[2]
+        return np.asarray(self._at_rest[7])
 
     @property
     def T12(self) -> Array:
         """Posterior mean of T12 (3,)."""
-        return self._solved[3]
+        return np.asarray(self._at_rest[8])
 
-    @cached_property
+    @property
     def T12_covariance(self) -> Array:
         """Posterior covariance of T12 (3, 3)."""
-        X = self.inverse_factor @ (self.J * PRIOR_SIGMA**2)
-        posterior: Array = np.diag(PRIOR_SIGMA**2) - X.T @ X
-        return posterior
+        return np.asarray(self._at_rest[9])
 
     def corrected(self) -> tuple[Array, Array]:
         """Posterior positions of both maps' landmarks in frame 1, (n1, 2) and (n2, 2): each map bent onto the other."""
-        bent: tuple[Array, Array] = growth_kernels().bent(*self._sides, self.T0, self.T12, self.i, self.j, self.weights)
-        return bent
+        return self._at_rest[10], self._at_rest[11]
 
     def predict(self, i: Index, j: Index) -> tuple[Array, Array]:
         """Innovation (k, 3) and its covariance (k, 3, 3) of further pairs, given the pairs so far."""
@@ -167,5 +169,5 @@ class Joined:
 
     def sequential(self) -> tuple[Array, Array]:
         """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it, T12's prior included."""
-        found: tuple[Array, Array] = growth_kernels().given_before(self.covariance, self.r)
+        found: tuple[Array, Array] = evidence_kernels().given_before(self.covariance, self.r)
         return found

@@ -5,12 +5,15 @@ Derivation and what each term buys: docs/evidence.md. The terms are kept apart s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
+from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets import se2
+from mapfuse.datasets.arms import wrap
 
 from .background import Background
 from .coincidence import corridor_matches, corridor_prior, point_matches, point_prior
@@ -66,7 +69,16 @@ class Terms:
     @property
     def total(self) -> float:
         """Sum of all terms."""
-        return float(sum(getattr(self, f.name) for f in fields(self)))
+        return float(sum(_each_term(self)))
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """All terms by their names."""
+        return dict(zip(_NAMES, _each_term(self), strict=True))
+
+
+_NAMES = tuple(f.name for f in fields(Terms))
+_each_term = attrgetter(*_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,31 +110,31 @@ class Weighed:
     def alias(self, of_building: Array | None = None) -> float:
         """Log odds of seeing this at an image of the right place against at the right place itself [nats], given what
         the maps say of such images (`mapfuse.fusion.repetition.alias`)."""
-        return alias(self.lacking, of_building) - self.apart
+        return float(alias(self.lacking, of_building)) - self.apart
 
-    @property
+    @cached_property
     def alike(self) -> float:
         """Log odds of seeing this on another floor of the same plan against on the same floor [nats].
 
         Arms and compass don't tell such floors apart. What is known of the two maps speaks against another floor where
         this placement agrees with it; where it doesn't, it is as wrong on either.
         """
-        return another_floor(self.lacking) - self.terms.known - max(self.terms.stated, 0.0)
+        return float(another_floor(self.lacking)) - self.terms.known - max(self.terms.stated, 0.0)
 
 
 def _normal_log(x: float, variance: float) -> float:
-    return -0.5 * x * x / variance - 0.5 * float(np.log(2 * np.pi * variance))
+    return -0.5 * x * x / variance - 0.5 * math.log(2 * math.pi * variance)
 
 
 def _compass(m1: PreparedMap, m2: PreparedMap, theta: float) -> float:
     """log density of the rotation given both compasses, against any rotation."""
     if m1.north is None or m2.north is None:
         return 0.0
-    off = float(se2.wrap(theta - (m1.north[0] - m2.north[0])))
+    off = wrap(theta - (m1.north[0] - m2.north[0]))
     variance = m1.north[1] ** 2 + m2.north[1] ** 2
-    quarters = np.exp([_normal_log(float(se2.wrap(off - k * np.pi / 2)), variance) for k in range(4)])
-    anyhow = (1 - ONE_GRID) / (2 * np.pi) + ONE_GRID * quarters.mean()
-    return float(np.log((1 - STEEL_RATE) * quarters[0] + STEEL_RATE / (2 * np.pi)) - np.log(anyhow))
+    quarters = [math.exp(_normal_log(wrap(off - k * math.pi / 2), variance)) for k in range(4)]
+    anyhow = (1 - ONE_GRID) / (2 * math.pi) + ONE_GRID * sum(quarters) / 4
+    return math.log((1 - STEEL_RATE) * quarters[0] + STEEL_RATE / (2 * math.pi)) - math.log(anyhow)
 
 
 def look_elsewhere(regular: float, distances: int, config: EvidenceConfig) -> float:
@@ -142,9 +154,9 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     misses, void, arms, crossings = emptiness(way, background, config)
     arms += per_arm(config) * int(joined.arms.contradict.sum())
     compass = _compass(joined.m1, joined.m2, float(joined.T12[2]))
-    angle = float(np.deg2rad(config.corridor_angle_deg))
+    angle = math.radians(config.corridor_angle_deg)
     matches, regular = corridor_matches(joined, background, angle)
-    on_corridors = bool((~background.points1[joined.i]).any())
+    on_corridors = not background.has_points or not background.points1[joined.i].all()
     prior = corridor_prior(background, way.overlap) if on_corridors else point_prior(background)
     terms = Terms(
         prior=prior - look_elsewhere(regular, background.regularity(angle).distances if on_corridors else 0, config),

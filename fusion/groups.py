@@ -14,7 +14,7 @@ import numpy as np
 
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.jsondata import encode
-from mapfuse.datasets.mapfile import map_to_dict, validate
+from mapfuse.datasets.mapfile import checked_dict, map_to_dict
 from mapfuse.datasets.maps import LandmarkMap
 
 from .assemble import assembled
@@ -59,9 +59,9 @@ def fuse(
     """
     config = config or FuseConfig()
     maps = tuple(maps)
-    check_maps(maps)
+    documents = check_maps(maps)
     check_known_maps(known, {m.name for m in maps})
-    provenance = provenance_of(maps, config, known)
+    provenance = provenance_of(maps, config, known, documents)
     origins = {m.name: middle(m) for m in maps}
     known = [replace(k, T12=carried(k.T12, *(-origins[name] for name in k.maps))) for k in known]
     near = tuple(shifted(m, origins[m.name]) for m in maps)
@@ -101,16 +101,20 @@ def prepared_for(near: LandmarkMap, config: FuseConfig) -> PreparedMap:
     return prepare(near, config.solving, np.deg2rad(config.evidence.corridor_angle_deg))
 
 
-def check_maps(maps: Sequence[LandmarkMap]) -> None:
-    """Raise `MapfuseError` for maps that can't be fused, saying why."""
+def check_maps(maps: Sequence[LandmarkMap]) -> tuple[dict[str, Any], ...]:
+    """The maps as they stand in files. Raises `MapfuseError` for maps that can't be fused, saying why."""
     if not maps:
         raise MapfuseError("there is nothing to fuse: give at least one map")
     twice = next((name for name, count in Counter(m.name for m in maps).items() if count > 1), None)
     if twice is not None:
         raise MapfuseError(f"two maps are named {twice!r}; names must differ, since results refer to them")
+    documents = []
     for m in maps:
-        if problems := validate(m) or strays(m):
+        document, problems = checked_dict(m)
+        if problems := problems or strays(m):
             raise MapError(m.name, problems)
+        documents.append(document)
+    return tuple(documents)
 
 
 def strays(m: LandmarkMap) -> tuple[Problem, ...]:
@@ -123,10 +127,17 @@ def strays(m: LandmarkMap) -> tuple[Problem, ...]:
 
 
 def provenance_of(
-    maps: Sequence[LandmarkMap], config: FuseConfig, known: Sequence[KnownTransform] = ()
+    maps: Sequence[LandmarkMap],
+    config: FuseConfig,
+    known: Sequence[KnownTransform] = (),
+    documents: Sequence[Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """What a result was made of: version, parameters, a hash of each map, and what was known of where they lie."""
-    inputs = {m.name: hashlib.sha256(encode(map_to_dict(m))).hexdigest() for m in maps}
+    """What a result was made of: version, parameters, a hash of each map, and what was known of where they lie.
+
+    ``documents``: the maps as they stand in files (`check_maps`), where they are at hand.
+    """
+    documents = [map_to_dict(m) for m in maps] if documents is None else documents
+    inputs = {m.name: hashlib.sha256(encode(document)).hexdigest() for m, document in zip(maps, documents, strict=True)}
     stated = [{"maps": list(k.maps), "T12": k.T12.array.tolist(), "covariance": _rows(k)} for k in known]
     told = {"known": stated} if stated else {}
     return {"mapfuse": version("mapfuse"), "inputs": inputs, "config": asdict(config), **told}

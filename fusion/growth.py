@@ -7,8 +7,9 @@ disagree by metres through drift still match as a whole.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,11 @@ class Growth:
     def j(self) -> Index:
         """Matched landmarks of map 2 (k,)."""
         return self.joined.j
+
+    @property
+    def partner(self) -> Index:
+        """Of each landmark of map 1 its partner in map 2, or -1; (n1,)."""
+        return _partners(len(self.joined.m1), self.i, self.j)
 
     @cached_property
     def pairs(self) -> frozenset[tuple[int, int]]:
@@ -89,27 +95,31 @@ def grow(
     ``known``: pairs that are matches whatever their residuals say.
     """
     may = compatible(m1, m2) if may_match is None else may_match
-    partner, T0, rounds = growth_kernels().grown(
+    i, j, T0, rounds, at_rest = growth_kernels().grown(
         side(m1),
         side(m2),
         np.asarray(T12, dtype=float),
-        _partners(len(m1), seed),
+        _partners(len(m1), *_columns(seed)),
         may,
-        _partners(len(m1), known),
+        _partners(len(m1), *_columns(known)),
         _limits(config),
     )
-    i = np.flatnonzero(partner >= 0)
-    return Growth(Joined(m1, m2, T0, i, partner[i]), rounds)
+    return Growth(Joined(m1, m2, T0, i, j, at_rest), rounds)
 
 
-def _partners(n1: int, pairs: Pairs) -> Index:
-    """Of each landmark of map 1 its partner in map 2, or -1; (n1,)."""
+def _partners(n1: int, i: Sequence[int] | Index, j: Sequence[int] | Index) -> Index:
+    """Of each of n1 landmarks of map 1 its partner in map 2, or -1; (n1,). The pairs are (i, j)."""
     partner = np.full(n1, -1, dtype=np.intp)
-    for i, j in pairs:
-        partner[i] = j
+    partner[i] = j
     return partner
 
 
+def _columns(pairs: Pairs) -> tuple[list[int], list[int]]:
+    """Pairs as the places in map 1 and those in map 2."""
+    return [i for i, _ in pairs], [j for _, j in pairs]
+
+
+@cache
 def _limits(config: SolvingConfig) -> Any:
     """What a match must pass (`_growth_kernels.Limits`)."""
     gate2, gate3 = (float(chi2_gate(config.gate_probability, dof)) for dof in (2, 3))

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import lil_array
+from scipy.sparse import csr_array
 
-from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable, signature
+from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, is_passable
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, LinkType
 from mapfuse.factors.axes import wrapped
 from mapfuse.factors.correspondence import SAME_HEADING, SAME_PLACE
-from mapfuse.factors.heading import arms_variance
+from mapfuse.factors.heading import arms_variance, headings_of, signatures_of
 
 from .result import FusedLandmark
 
@@ -31,11 +31,6 @@ class Place:
 
     members: tuple[Member, ...]
     existence: float
-
-
-def _turned(landmark: Landmark, heading: float) -> float:
-    """By how much the landmark's directions turn when its heading becomes ``heading`` [rad, group frame]."""
-    return heading - (heading_of(landmark) or 0.0)
 
 
 def _joined_link(a: Link, b: Link, weight_b: float) -> Link:
@@ -95,7 +90,7 @@ def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
 def meant_variance(recorded: LandmarkMap, landmark: Landmark) -> Array:
     """Variance (3,) over (x, y, heading) of what one robot means by a landmark from where that is: half of row 10 of
     the measurement model, and the errors of its arms."""
-    arms = len(signature(landmark).headings)
+    arms = len(signatures_of(recorded)[landmark.id].headings)
     heading = arms_variance(recorded, landmark, arms) + SAME_HEADING**2 / 2
     return np.array([SAME_PLACE**2 / 2, SAME_PLACE**2 / 2, heading])
 
@@ -117,25 +112,26 @@ def merged_landmarks(
     of row 10 of the measurement model away from where it is.
     """
     name_of = {member: names[k] for k, place in enumerate(places) for member in place.members}
-    average = lil_array((3 * len(places), len(joint)))
-    joint = joint.copy()
-    for k, place in enumerate(places):
-        for member in place.members:
-            block = 3 * covariance[member]
-            average[3 * k : 3 * k + 3, block : block + 3] = np.eye(3) / len(place.members)
-            own = np.arange(block, block + 3)
-            joint[own, own] += meant_variance(maps[member[0]], maps[member[0]].landmarks[member[1]])
-    mean = average.tocsr()
+    joint, meant = joint.copy(), np.zeros((len(joint) // 3, 3))
+    members = [(k, member, 1 / len(place.members)) for k, place in enumerate(places) for member in place.members]
+    for _, (r, n), _ in members:
+        meant[covariance[r, n]] = meant_variance(maps[r], maps[r].landmarks[n])
+    joint[np.diag_indices(len(joint))] += meant.ravel()
+    of_place = np.array([k for k, _, _ in members], dtype=np.intp)
+    block = np.array([covariance[member] for _, member, _ in members], dtype=np.intp)
+    rows, columns = (3 * which[:, None] + np.arange(3) for which in (of_place, block))
+    weights = np.repeat([weight for _, _, weight in members], 3)
+    mean = csr_array((weights, (rows.ravel(), columns.ravel())), shape=(3 * len(places), len(joint)))
     fused_joint = np.asarray(mean @ (mean @ joint).T)
     fused_joint = (fused_joint + fused_joint.T) / 2
     landmarks = tuple(
         _landmark(maps, place, poses, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group, name_of)
         for k, place in enumerate(places)
     )
-    rows = 3 if all(landmark.heading is not None for landmark in landmarks) else 2
-    kept = np.array([3 * k + row for k in range(len(places)) for row in range(rows)], dtype=np.intp)
+    height = 3 if all(landmark.heading is not None for landmark in landmarks) else 2
+    kept = np.array([3 * k + row for k in range(len(places)) for row in range(height)], dtype=np.intp)
     order = tuple(landmark.id for landmark in landmarks)
-    return landmarks, JointCovariance(order, rows, fused_joint[np.ix_(kept, kept)])
+    return landmarks, JointCovariance(order, height, fused_joint[np.ix_(kept, kept)])
 
 
 def _landmark(
@@ -149,16 +145,17 @@ def _landmark(
     # by name, so that what is joined does not depend on the order of the maps
     members = sorted(place.members, key=lambda member: (maps[member[0]].name, maps[member[0]].ids[member[1]]))
     recorded = [maps[r].landmarks[k] for r, k in members]
+    facing = [headings_of(maps[r])[maps[r].ids[k]] for r, k in members]
     at = np.array([poses[r][k] for r, k in members])
     links = _joined_links(
         [
-            _links(landmark, float(pose[2]), maps[r], r, name_of, name_of[(r, k)])
-            for landmark, pose, (r, k) in zip(recorded, at, members, strict=True)
+            _links(landmark, float(pose[2]) - (own or 0.0), maps[r], r, name_of, name_of[(r, k)])
+            for landmark, own, pose, (r, k) in zip(recorded, facing, at, members, strict=True)
         ]
     )
     x, y = at[:, :2].mean(axis=0)
     with_arms = heading_of(Landmark("", recorded[0].type, 0.0, 0.0, links=links))
-    headings = [pose[2] for l, pose in zip(recorded, at, strict=True) if heading_of(l) is not None]
+    headings = [pose[2] for own, pose in zip(facing, at, strict=True) if own is not None]
     heading = with_arms
     if heading is None and headings:
         heading = float(np.angle(np.exp(1j * np.array(headings)).sum()))
@@ -182,15 +179,18 @@ def _landmark(
 
 
 def _links(
-    landmark: Landmark, heading: float, map_: LandmarkMap, r: int, name_of: Mapping[Member, str], own: str
+    landmark: Landmark, turn: float, map_: LandmarkMap, r: int, name_of: Mapping[Member, str], own: str
 ) -> list[Link]:
-    """A landmark's links in the group's frame, where it faces ``heading`` [rad], and to the merged landmarks."""
-    turn = _turned(landmark, heading)
+    """A landmark's links in the group's frame, where its directions turn by ``turn`` [rad], to the merged landmarks."""
     return [
-        replace(
-            link,
-            heading=None if link.heading is None else wrapped(link.heading + turn),
-            connected_to_id=_target(map_, r, link, name_of, own),
+        Link(
+            link.type,
+            None if link.heading is None else wrapped(link.heading + turn),
+            link.compass,
+            _target(map_, r, link, name_of, own),
+            link.distance,
+            link.travel_counter,
+            link.extra,
         )
         for link in landmark.links
     ]

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap
 from mapfuse.factors import (
@@ -31,6 +30,7 @@ from .result import NoiseFit
 from .solve import Solution
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 _OF_ONE_MAP = (LinkMeasurement, RangeMeasurement, FrameAnchor, HeadingPrior, JointMeasurement)
 
@@ -47,24 +47,22 @@ def noise_fits(solution: Solution, used: Sequence[float] | None = None) -> tuple
     linear = graph.linearize(problem.values(solution.poses))
     rows, columns, values = np.asarray(linear.sparseJacobian_())
     rows, columns = rows.astype(np.intp) - 1, columns.astype(np.intp) - 1
-    unknowns = problem.keys.in_order
-    size = 3 * len(unknowns)
-    ends = np.cumsum([graph.at(k).dim() for k in range(graph.size())])
-    height = int(ends[-1])
-    inside = columns < size
-    J = csr_array((values[inside], (rows[inside], columns[inside])), shape=(height, size))
-    squares = np.zeros(height)
-    squares[rows[~inside]] = values[~inside] ** 2
-    asked = np.repeat([isinstance(m, _OF_ONE_MAP) for m in problem.measurements], np.diff(ends, prepend=0))
-    fitted = np.zeros(height)
-    fitted[asked] = _fitted(J[asked], solution, np.array([solution.poses[u][2] for u in unknowns]))
+    heights = [graph.at(k).dim() for k in range(graph.size())]
+    asked = [isinstance(m, _OF_ONE_MAP) for m in problem.measurements]
+    size = 3 * len(problem.keys.in_order)
+    residual = columns == size
+    squares = np.zeros(len(heights))
+    of_row = np.repeat(np.arange(len(heights)), heights)
+    np.add.at(squares, of_row[rows[residual]], values[residual] ** 2)
+    inside = ~residual & np.array(asked, dtype=bool)[of_row[rows]]
+    fitted = _fitted(solution, of_row, rows[inside], columns[inside], values[inside])
     chi2, redundancy = np.zeros(len(problem.maps)), np.zeros(len(problem.maps))
-    for measurement, end, count in zip(problem.measurements, ends, np.diff(ends, prepend=0), strict=True):
+    terms = zip(problem.measurements, squares.tolist(), fitted.tolist(), strict=True)
+    for measurement, square, fit in terms:
         if isinstance(measurement, _OF_ONE_MAP):
             r = _map_of(measurement)
-            of_it = slice(end - count, end)
-            chi2[r] += squares[of_it].sum()
-            redundancy[r] += measurement.readings - fitted[of_it].sum()
+            chi2[r] += square
+            redundancy[r] += measurement.readings - fit
     used = used or [1.0] * len(problem.maps)
     return tuple(NoiseFit(float(c), float(max(n, 0.0)), u) for c, n, u in zip(chi2, redundancy, used, strict=True))
 
@@ -74,29 +72,45 @@ def _map_of(measurement: Measurement) -> int:
     return next(unknown.map for unknown in measurement.unknowns if isinstance(unknown, LandmarkKey))
 
 
-def _fitted(J: csr_array, solution: Solution, thetas: Array) -> Array:
-    """Diagonal of ``J Sigma J'`` (rows,), Sigma being needed only between unknowns that a row has both."""
-    unknowns = solution.problem.keys.in_order
-    rotations = pose_rotations(thetas)
-    out = np.zeros(J.shape[0])
-    blocks = csr_array((np.ones(J.nnz), J.indices // 3, J.indptr.copy()), shape=(J.shape[0], len(unknowns)))
-    blocks.sum_duplicates()
-    which: dict[tuple[int, int], list[int]] = {}
-    for row in range(J.shape[0]):
-        touched = blocks.indices[blocks.indptr[row] : blocks.indptr[row + 1]].tolist()
-        for a in touched:
-            for b in touched:
-                which.setdefault((a, b), []).append(row)
-    pairs = list(which)
-    if not pairs:
-        return out
-    covariances = solution.covariances([unknowns[a] for a, _ in pairs], [unknowns[b] for _, b in pairs])
-    dense = J.toarray()
-    for (a, b), S in zip(pairs, covariances, strict=True):
-        rows = which[a, b]
-        local = rotations[a].T @ S @ rotations[b]
-        out[rows] += np.einsum("ra,ab,rb->r", dense[rows, 3 * a : 3 * a + 3], local, dense[rows, 3 * b : 3 * b + 3])
+def _fitted(solution: Solution, of_row: Index, rows: Index, columns: Index, values: Array) -> Array:
+    """Trace of ``J Sigma J'`` of each measurement (m,), from the entries of their whitened Jacobian.
+
+    ``of_row``: the measurement of each row. Sigma is needed only between the unknowns that a measurement has.
+    """
+    measurements, unknowns = solution.problem.measurements, solution.problem.keys.in_order
+    place = {unknown: k for k, unknown in enumerate(unknowns)}
+    rotations = pose_rotations(np.array([solution.poses[unknown][2] for unknown in unknowns]))
+    out = np.zeros(len(measurements))
+    asked = np.unique(of_row[rows])
+    two = np.array([k for k in asked if len(measurements[k].unknowns) == 2], dtype=np.intp)
+    ends = np.zeros((len(measurements), 2), dtype=np.intp)
+    ends[two] = np.array([[place[u] for u in measurements[k].unknowns] for k in two]).reshape(-1, 2)
+    on = np.isin(of_row[rows], two)
+    row, column, which = rows[on], columns[on], of_row[rows[on]]
+    J = np.zeros((len(of_row), 2, 3))
+    J[row, (column // 3 == ends[which, 1]).astype(np.intp), column % 3] = values[on]
+    # body tangents to axes, once for each row
+    J = np.einsum("rsb,rsab->rsa", J, rotations[ends[of_row]])
+    for one, other, times in ((0, 0, 1.0), (1, 1, 1.0), (0, 1, 2.0)):
+        S = np.zeros((len(measurements), 3, 3))
+        if len(two):
+            S[two] = solution.covariances(*([unknowns[k] for k in ends[two, end]] for end in (one, other)))
+        of_rows = np.einsum("ra,rab,rb->r", J[:, one], S[of_row], J[:, other])
+        out += times * np.bincount(of_row, of_rows, minlength=len(out))
+    for k in set(asked.tolist()) - set(two.tolist()):
+        out[k] = _fitted_jointly(solution, rotations, *(part[of_row[rows] == k] for part in (rows, columns, values)))
     return out
+
+
+def _fitted_jointly(solution: Solution, rotations: Array, rows: Index, columns: Index, values: Array) -> float:
+    """The same of one measurement of any number of unknowns."""
+    row = np.unique(rows, return_inverse=True)[1]
+    touched, of_unknown = np.unique(columns // 3, return_inverse=True)
+    J = np.zeros((int(row.max()) + 1, len(touched), 3))
+    J[row, of_unknown, columns % 3] = values
+    J = np.einsum("rsb,sab->rsa", J, rotations[touched]).reshape(len(J), -1)
+    S = solution.joint_covariance([solution.problem.keys.in_order[k] for k in touched])
+    return float(np.einsum("ra,ra->", J @ S, J))
 
 
 def scaled(recorded: LandmarkMap, scale: float) -> LandmarkMap:

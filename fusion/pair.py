@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets import se2
+from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import pair_problem
 from mapfuse.matching.hypothesis import Hypothesis
@@ -22,7 +22,7 @@ from .evidence import Weighed, weigh
 from .growth import Growth, Pairs, compatible, grow
 from .known import agreeing, check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
-from .repetition import repeats
+from .repetition import LACKING, alias, repeats
 from .solve import Solution, solve
 from .wallfit import weighed_by_conflicts, weighed_by_walls
 
@@ -67,14 +67,14 @@ def grow_all(
     explained: list[tuple[frozenset[tuple[int, int]], float]] = []
     for hypothesis in hypotheses:
         seed = _seed(m1, m2, hypothesis)
-        theta = hypothesis.T12.theta
-        if any(set(seed) <= pairs and abs(se2.wrap(theta - turn)) < 0.5 for pairs, turn in explained):
+        theta, of_seed = hypothesis.T12.theta, frozenset(seed)
+        if any(of_seed <= pairs and abs(wrap(theta - turn)) < 0.5 for pairs, turn in explained):
             continue
         growths = [grow(m1, m2, hypothesis.T12.array, seed, config, may)]
         if len(growths[0].pairs) < hypothesis.count and hypothesis.count >= ENOUGH:
             growths.append(grow(m1, m2, hypothesis.T12.array, _matches(m1, m2, hypothesis), config, may))
         for growth in growths:
-            explained.append((growth.pairs | set(seed), float(growth.joined.T12[2])))
+            explained.append((growth.pairs | of_seed, float(growth.joined.T12[2])))
             grown.append(growth)
     by_known = grow_known(m1, m2, known, config)
     grown = [by_known, *grown] if by_known is not None else grown
@@ -103,29 +103,38 @@ def _matches(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> Pairs:
     return tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.correspondences)
 
 
-def _one_answer(a: Growth, b: Growth, tolerance_m: float) -> bool:
-    """Whether two grown hypotheses are variants of one answer.
+def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
+    """The best variant of each answer.
 
-    So they are where half of the smaller one's matches are the other's too, or where both lay map 2 on the same
-    place: twins that stand close together may be matched either way.
+    Two are variants of one where half of the smaller one's matches are the other's too, or where both lay map 2 on the
+    same place: twins that stand close together may be matched either way.
     """
-    if 2 * len(a.pairs & b.pairs) >= min(len(a.pairs), len(b.pairs)):
-        return True
+    ordered = sorted(weighed, key=lambda w: -w.log_odds)
+    if len(ordered) < 2:
+        return ordered
+    growths = [w.growth for w in ordered]
+    partner = np.array([g.partner for g in growths])
+    count = (partner >= 0).sum(axis=1)
+    shared = ((partner[:, None] == partner) & (partner >= 0)).sum(axis=2)
+    same = 2 * shared >= np.minimum(count[:, None], count)
     # the root mean square over n landmarks is no less than the distance of any one of them by the root of n
-    x, y = (a.placed2[a.j[0]] - b.placed2[a.j[0]]).tolist()
-    if x * x + y * y > (len(a.j) + len(b.j)) * tolerance_m**2:
-        return False
+    placed = np.array([g.placed2 for g in growths])
+    first = np.array([g.j[0] for g in growths])
+    off = placed[np.arange(len(first)), first][:, None] - placed[:, first].swapaxes(0, 1)
+    near = (off**2).sum(axis=2) <= (count[:, None] + count) * tolerance_m**2
+    kept: list[int] = []
+    for k, g in enumerate(growths):
+        if not any(same[k][kept]) and not any(
+            _on_one_place(g, growths[other], tolerance_m) for other in kept if near[k, other]
+        ):
+            kept.append(k)
+    return [ordered[k] for k in kept]
+
+
+def _on_one_place(a: Growth, b: Growth, tolerance_m: float) -> bool:
+    """Whether two grown hypotheses lay map 2 on the same place, by the landmarks that either matches."""
     overlap = a.joined.m2.positions[np.union1d(a.j, b.j)]
     return bool(displacement(a.joined.T12, b.joined.T12, overlap) < tolerance_m)
-
-
-def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
-    """The best variant of each answer."""
-    kept: list[Weighed] = []
-    for w in sorted(weighed, key=lambda w: -w.log_odds):
-        if not any(_one_answer(w.growth, other.growth, tolerance_m) for other in kept):
-            kept.append(w)
-    return kept
 
 
 def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Weighed, Solution]:
@@ -149,15 +158,16 @@ def judged(weighed: list[Weighed], background: Background, config: FuseConfig, s
 
     ``self_match``: whether they are; without it, to measure what that is worth, only the rivals themselves speak.
     """
-    best = max(weighed, key=lambda w: w.log_odds, default=None)
-    alias = np.zeros((len(weighed), 2))
+    if not weighed:
+        return decide(weighed, np.zeros((0, 2)), config.evidence, config.decision)
+    best = max(weighed, key=lambda w: w.log_odds)
+    of_building = np.zeros((len(weighed), len(LACKING)))
     for k, w in enumerate(weighed):
-        assert best is not None
-        of_building = None
         if self_match and w is not best and w.log_odds > LEAST_RIVAL:
-            of_building = repeats(background, config, best.growth.joined.T12, w.growth.joined.T12)
-        alias[k] = best.alias(of_building), w.alias(of_building)
-    return decide(weighed, alias, config.evidence, config.decision)
+            of_building[k] = repeats(background, config, best.growth.joined.T12, w.growth.joined.T12)
+    own = alias(np.array([w.lacking for w in weighed]), of_building) - [w.apart for w in weighed]
+    at_best = alias(best.lacking, of_building) - best.apart
+    return decide(weighed, np.column_stack([at_best, own]), config.evidence, config.decision)
 
 
 def _against_walls(verdict: Verdict, asked: set[int], background: Background, config: FuseConfig) -> Verdict:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -43,7 +42,7 @@ def pair_result(
         for k, (c, p) in enumerate(zip(candidates, probabilities, strict=True))
     ]
     hypotheses = tuple(
-        RankedHypothesis(T, len(c.matches), c.log_odds, float(p), evidence=asdict(c.terms), **more)
+        RankedHypothesis(T, len(c.matches), c.log_odds, float(p), evidence=c.terms.by_name, **more)
         for k, (T, c, p, more) in enumerate(zip(transforms, candidates, probabilities, told, strict=True))
         if k < TOLD or p >= least
     )

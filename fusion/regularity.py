@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from .prepared import PreparedMap
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# `_evidence_kernels` has those of rhythms and lines once more, since numba's cache looks at no other file.
 #: Distances [m] along a corridor up to which landmarks are taken to stand in a rhythm.
 REACH_M = 25.0
 #: Two distances are the same to within this [m] and this share of them.
@@ -82,28 +84,12 @@ class Gaps:
         a, b = self.pairs.T
         return np.asarray(self.distance[self.spatial[a] & self.spatial[b] & (a < b)])
 
-    def met(self, a: int, b: int, at: float, period: float, own: tuple[int, int]) -> tuple[int, int]:
-        """How often b stands ``at`` [m] from a, and how often it could; the gap ``own`` left out."""
-        found: tuple[int, int] = evidence_kernels().times_met(
-            self.pairs,
-            self.distance,
-            self.origin,
-            self.exposure,
-            self.start,
-            self.label,
-            a,
-            b,
-            at,
-            same_distance(at),
-            period,
-            own,
+    @cached_property
+    def table(self) -> Any:
+        """The same as the compiled loops take it (`_evidence_kernels.Rhythm`)."""
+        return evidence_kernels().Rhythm(
+            self.pairs, self.distance, self.origin, self.exposure, self.start, self.label, self.spatial
         )
-        return found
-
-
-def same_distance(distance: float) -> float:
-    """By how much [m] two distances like this one may differ and be the same."""
-    return SAME_DISTANCE_M + SAME_DISTANCE_SHARE * distance
 
 
 def pitch_of(distances: Array) -> float:
@@ -151,37 +137,7 @@ class Regularity:
         Matches (i, j) in the order in which they are come upon, standing ``at`` (k, 2) [m], each come upon in the
         direction ``along`` (k, 2); ``rate`` (k,) [1/m]: how common its label is anywhere.
         """
-        out = np.zeros(len(i))
-        spatial = self.gaps1.spatial[i]
-        offset = at[:, None, :] - at[None, :, :]
-        forward = np.abs(np.einsum("kmd,kd->km", offset, along))
-        aside = np.abs(offset[..., 1] * along[:, None, 0] - offset[..., 0] * along[:, None, 1])
-        for k in range(1, len(i)):
-            if np.isnan(along[k]).any():
-                continue
-            ahead, beside = forward[k, :k], aside[k, :k]
-            # on a grid of one pitch any corner tells where the others are, elsewhere only those of the same corridor
-            before = (beside < LINE_WIDTH_M) & (ahead > LINE_WIDTH_M)
-            if self.pitch:
-                before = spatial[:k] if spatial[:k].any() else np.ones(k, dtype=bool)
-            if before.any():
-                m = int(np.argmin(np.where(before, ahead + beside, np.inf)))
-                out[k] = self._rhythm((i[m], i[k]), (j[m], j[k]), float(ahead[m]), float(rate[k]))
-            crossing = (ahead < LINE_WIDTH_M) & (beside > LINE_WIDTH_M) & spatial[:k]
-            if spatial[k] and crossing.any():
-                out[k] = max(out[k], ON_A_LINE)
-        return out
-
-    def _rhythm(self, pair1: tuple[int, int], pair2: tuple[int, int], at: float, rate: float) -> float:
-        """Share of landmarks like the first one that have one like the second ``at`` [m] from them, beyond chance."""
-        if at > REACH_M and not self.pitch:
-            return 0.0
-        a, b = self.gaps1.start[pair1[0]], self.gaps1.label[pair1[1]]
-        met1, could1 = self.gaps1.met(a, b, at, self.pitch, pair1)
-        met2, could2 = self.gaps2.met(a, b, at, self.pitch, pair2)
-        could = could1 + could2
-        if self.pitch:
-            return float((met1 + met2) / (could + DOUBT))
-        by_chance = could * rate * 2 * same_distance(at)
-        surplus = met1 + met2 - by_chance - np.sqrt(by_chance)
-        return float(max(surplus, 0.0) / (could + DOUBT))
+        found: Array = evidence_kernels().shares(
+            self.gaps1.table, self.gaps2.table, i, j, at, along, rate, float(self.pitch)
+        )
+        return found

@@ -37,38 +37,42 @@ SEEDS = 4
 INVOLUTION = 0.3
 
 
+#: The same as logarithms: of what is there, of the prior, and of the prior of floors that lack something.
+LOG_THERE, LOG_PRIOR = np.log(1 - LACKING), np.log(LACKING_PRIOR)
+LOG_OTHER_FLOOR = np.log(LACKING_PRIOR[1:] / LACKING_PRIOR[1:].sum())
+
+
 def lacking_odds(hits: Array, misses: Array) -> Array:
     """log P(what was seen | the image lacks that share) - log P(... | it lacks nothing), for each of `LACKING` (6,).
 
     ``hits``, ``misses``: probability q that a landmark there is recorded, for those that were and those that weren't.
     """
-    there = 1 - LACKING
-    odds = len(hits) * np.log(there) + np.log1p(-misses[:, None] * there).sum(axis=0) - np.log1p(-misses).sum()
-    return np.asarray(odds)
+    missed = np.log1p(-misses[:, None] * (1 - LACKING)).sum(axis=0)
+    return np.asarray(len(hits) * LOG_THERE + missed - missed[0])  # the first lacks nothing
 
 
-def alias(odds: Array, of_building: Array | None = None) -> float:
-    """log odds of seeing what was seen at an image of the right place against at the right place itself [nats].
+def alias(odds: Array, of_building: Array | None = None) -> Array:
+    """log odds of seeing what was seen at an image of the right place against at the right place itself (...) [nats].
 
-    ``odds``: `lacking_odds` there; ``of_building`` (6,): what the maps themselves say of the building lacking such
-    shares at its images, against what a building that doesn't repeat itself would show. Without it an excellent
-    agreement never counts for more than log 2 against an alias: only what is missing tells.
+    ``odds`` (..., 6): `lacking_odds` there; ``of_building`` (..., 6): what the maps themselves say of the building
+    lacking such shares at its images, against what a building that doesn't repeat itself would show. Without it an
+    excellent agreement never counts for more than log 2 against an alias: only what is missing tells.
     """
-    known = np.zeros(len(LACKING)) if of_building is None else of_building
-    return float(np.logaddexp.reduce(np.log(LACKING_PRIOR) + odds + known))
+    told = LOG_PRIOR + odds
+    return np.asarray(np.logaddexp.reduce(told if of_building is None else told + of_building, axis=-1))
 
 
-def another_floor(odds: Array) -> float:
-    """log odds of seeing what was seen on another floor of the same plan against on the same floor [nats].
+def another_floor(odds: Array) -> Array:
+    """log odds of seeing what was seen on another floor of the same plan against on the same floor (...) [nats].
 
-    ``odds``: `lacking_odds`. Such a floor lacks some of the landmarks: one that lacked nothing could be told from this
-    one by no map.
+    ``odds`` (..., 6): `lacking_odds`. Such a floor lacks some of the landmarks: one that lacked nothing could be told
+    from this one by no map.
 
     >>> q = np.full(40, 0.9)  # of 40 landmarks that nine in ten times are recorded, some aren't
-    >>> [round(another_floor(lacking_odds(q[k:], q[:k])), 1) for k in (0, 4, 12)]
+    >>> [round(float(another_floor(lacking_odds(q[k:], q[:k]))), 1) for k in (0, 4, 12)]
     [-5.8, -2.8, 4.4]
     """
-    return float(np.logaddexp.reduce(np.log(LACKING_PRIOR[1:] / LACKING_PRIOR[1:].sum()) + odds[1:]))
+    return np.asarray(np.logaddexp.reduce(LOG_OTHER_FLOOR + odds[..., 1:], axis=-1))
 
 
 @dataclass(frozen=True, eq=False)

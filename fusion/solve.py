@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -222,7 +223,7 @@ def _robust_optimum(problem: Problem) -> dict[Unknown, Array]:
 
 def _finite_poses(problem: Problem, values: Any) -> dict[Unknown, Array]:
     poses = problem.poses(values)
-    if not all(np.isfinite(pose).all() for pose in poses.values()):
+    if not np.isfinite(list(poses.values())).all():
         raise MapfuseError("the solver left finite numbers; the maps' noise or positions are out of proportion")
     return poses
 
@@ -301,8 +302,11 @@ def solve(problem: Problem, config: SolvingConfig) -> Solution:
         solution = _turned(trusted, solution)
     excess = _excess(solution, config)
     if doubted and len(excess) and np.mean(excess > 1) > MANY:
-        solution = optimum(_matched_again(problem.starting_at(_robust_optimum(problem))))
-        excess = _excess(solution, config)
+        # what all measurements determine is determined: where the robust optimum is no place to start from, the first
+        # solution is left, and loses its matches one by one
+        with suppress(UndeterminedError):
+            solution = optimum(_matched_again(problem.starting_at(_robust_optimum(problem))))
+            excess = _excess(solution, config)
     rejected: list[Correspondence] = []
     while excess.max(initial=0.0) > 1:
         worst = solution.problem.of_kind(Correspondence)[int(np.argmax(excess))]

@@ -22,6 +22,8 @@ DIRECTIONS = 8
 #: Distance [m] between the samples of a way.
 _SAMPLE_M = 3.0
 _MOST_SAMPLES = 2_000_000
+#: So many samples are painted at once, so that what is worked out for them stays small.
+_PAINTED_AT_ONCE = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +108,15 @@ def _paint(cells: NDArray[np.uint8], low: Array, size: float, samples: Array, wi
     direction = np.floor(samples[:, 2] / (np.pi / DIRECTIONS)).astype(np.intp) % DIRECTIONS
     bit = np.left_shift(np.uint8(1), direction.astype(np.uint8))
     fine = size / 2
-    flat = cells.reshape(-1)
-    for across in np.arange(-width, width + fine / 2, fine):
-        for along in np.arange(-0.5, 0.51, fine / _SAMPLE_M):
-            at = samples[:, :2] + across * normal + along * _SAMPLE_M * unit
-            place = np.floor((at - low) / size).astype(np.intp)
-            place = np.clip(place, 0, np.array(cells.shape) - 1)
-            index = place[:, 0] * cells.shape[1] + place[:, 1]
-            np.bitwise_or.at(flat, index, bit)
+    flat, last = cells.reshape(-1), np.array(cells.shape) - 1
+    across = np.arange(-width, width + fine / 2, fine)[:, None, None, None]
+    along = np.arange(-0.5, 0.51, fine / _SAMPLE_M)[:, None, None] * _SAMPLE_M
+    for begin in range(0, len(samples), _PAINTED_AT_ONCE):
+        some = slice(begin, begin + _PAINTED_AT_ONCE)
+        at = samples[some, :2] + across * normal[some] + along * unit[some]
+        place = np.clip(np.floor((at - low) / size).astype(np.intp), 0, last)
+        index = place[..., 0] * cells.shape[1] + place[..., 1]
+        np.bitwise_or.at(flat, index, np.broadcast_to(bit[some], index.shape))
 
 
 def _around(xy: Array) -> tuple[Array, float, float]:

@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.simulation import simulated_pair
+from mapfuse.fusion import regularity as regular
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.coincidence import _visits, corridor_matches
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
@@ -34,6 +35,19 @@ def along_x(name, stations):
 
 def regularity(m1, m2):
     return Background(m1, m2).regularity(ANGLE)
+
+
+def met(gaps, a, b, at, own):
+    """How often b stands ``at`` [m] from a, and how often it could, where there is no pitch."""
+    within = regular.SAME_DISTANCE_M + regular.SAME_DISTANCE_SHARE * at
+    distances = (gaps.pairs, gaps.distance, gaps.origin, gaps.exposure, gaps.start, gaps.label)
+    return regular.evidence_kernels().times_met(*distances, a, b, at, within, 0.0, own)
+
+
+def test_the_compiled_loops_hold_the_same_constants():
+    names = ("REACH_M", "SAME_DISTANCE_M", "SAME_DISTANCE_SHARE", "ON_A_LINE", "LINE_WIDTH_M", "DOUBT")
+    for name in names:
+        assert getattr(regular.evidence_kernels(), name) == getattr(regular, name)
 
 
 @pytest.mark.parametrize("pitch", [6.0, 9.5, 12.3])
@@ -97,8 +111,8 @@ def test_a_repeated_distance_is_a_rhythm_in_which_the_match_itself_does_not_coun
     found = regularity(m1, m2)
     assert found.pitch == 0.0
     a, b = found.gaps1.start[0], found.gaps1.label[1]
-    met, could = found.gaps1.met(a, b, 3.0, 0.0, (0, 1))
-    assert (met, could) == (
+    times, could = met(found.gaps1, a, b, 3.0, (0, 1))
+    assert (times, could) == (
         2,
         6,
     )  # after the second and third junction; each of the four, in each direction it was left
@@ -109,7 +123,7 @@ def test_a_repeated_distance_is_a_rhythm_in_which_the_match_itself_does_not_coun
     share = found.shares(i, j, at, along, np.full(2, rate))
     # map 2 shows that distance only in the match itself; its door's way back could have had one
     by_chance = 7 * rate * 2 * (0.5 + 0.09)
-    expected = (2 - by_chance - np.sqrt(by_chance)) / (could + found.gaps2.met(a, b, 3.0, 0.0, (0, 1))[1] + DOUBT)
+    expected = (2 - by_chance - np.sqrt(by_chance)) / (could + met(found.gaps2, a, b, 3.0, (0, 1))[1] + DOUBT)
     assert share == pytest.approx([0.0, expected], rel=0.05)
     # at a distance that nothing repeats, there is no rhythm
     off = at + np.array([[0.0, 0.0], [19.0, 0.0]])

@@ -26,6 +26,7 @@ from mapfuse.factors import (
     single_map_problem,
 )
 from mapfuse.fusion import covariance as covariance_module
+from mapfuse.fusion import solve as solve_module
 from mapfuse.fusion.config import SolvingConfig, chi2_gate
 from mapfuse.fusion.solve import MAX_STEPS, _gauss_newton, left_out, solve
 
@@ -239,6 +240,24 @@ def test_planted_wrong_correspondences_are_thrown_out_and_leave_no_trace(seed):
     np.testing.assert_allclose(se2.between(without.poses[FrameKey(1)], solution.poses[FrameKey(1)]), 0, atol=1e-6)
     np.testing.assert_allclose(solution.transform(1).covariance, without.transform(1).covariance, rtol=1e-4, atol=1e-9)
     assert solution.chi2 == pytest.approx(without.chi2, rel=1e-4)
+
+
+def test_where_the_robust_optimum_leads_nowhere_matches_are_gated_from_the_first(monkeypatch):
+    # all that is measured is determined; only from where the robust optimum lies nothing can be solved
+    map1, map2, T12, matches = matched(simulated_pair(16, min_common=10))
+    crossed = [(a, c) for (a, _), (_, c) in zip(matches[:4], matches[3::-1], strict=True)]
+    asked = []
+
+    def nowhere(problem):
+        asked.append(problem)
+        raise UndeterminedError("the measurements leave something open", ())
+
+    monkeypatch.setattr(solve_module, "_robust_optimum", nowhere)
+    solution = solve(pair_problem(map1, map2, T12, [*crossed, *matches[4:]]), CONFIG)
+    assert asked
+    assert {(m.a.id, m.b.id) for m in solution.rejected}
+    kept = solution.problem.of_kind(Correspondence)
+    assert len(kept) < 3 or all(left_out(solution, m) <= chi2_gate(CONFIG.gate_probability, m.dof) for m in kept)
 
 
 def test_accepted_correspondences_are_plain_in_the_end_and_pass_the_gate():
