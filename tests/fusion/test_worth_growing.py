@@ -20,7 +20,7 @@ from mapfuse.matching.hypothesis import Hypothesis
 CONFIG = FuseConfig()
 PROPOSED = [
     Hypothesis(Transform(float(k), 0.0, 0.0), 5, score=score)
-    for k, score in enumerate((60.0, 20.0, 60 - HOPELESS, -70.0))
+    for k, score in enumerate((60.0, 61.0 - HOPELESS, 60.0 - HOPELESS, -70.0))
 ]
 
 
