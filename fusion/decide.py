@@ -28,14 +28,14 @@ class Verdict:
     alike: float = 0.0
 
 
-def log_weights(log_odds: Array, alias: Array, evidence: EvidenceConfig) -> Array:
+def log_weights(log_odds: Array, alias: Array, evidence: EvidenceConfig, spared: Array | float = 0.0) -> Array:
     """What each hypothesis weighs against no overlap (k,) [nats], before the overlap prior.
 
     Each hypothesis weighs its odds against none. But where a second hypothesis beats none as well, the building may
     repeat itself, and which of the two overlaps more then says nothing (repetition rule, docs/evidence.md): a rival k
     of the best one b is right where b is its image, or b right where k is. ``alias`` (k, 2) [nats]: the odds of what b
     shows, and of what k shows, at an image of the right place against at the right place itself; (k,): of what each
-    shows, whichever is its rival.
+    shows, whichever is its rival. ``spared`` (k,) [nats]: what each didn't pay for the search, and may have by chance.
     """
     if not len(log_odds):
         return np.zeros(0)
@@ -44,7 +44,7 @@ def log_weights(log_odds: Array, alias: Array, evidence: EvidenceConfig) -> Arra
         alias = np.column_stack([np.full(len(alias), alias[best]), alias])
     rho = min(max(evidence.repetition_rate, 1e-300), 1 - 1e-12)
     # odds that the building repeats itself, less how far a wrong hypothesis gets by chance
-    repeats = np.log(rho) - np.log1p(-rho) - evidence.repetition_odds
+    repeats = np.log(rho) - np.log1p(-rho) - evidence.repetition_odds - spared
     weights = (
         log_odds
         + np.logaddexp(0.0, repeats + log_odds[best] + alias[:, 0])
@@ -87,7 +87,7 @@ def posterior(log_odds: Array, alias: Array, evidence: EvidenceConfig, overlap_p
 def decide(weighed: list[Weighed], alias: Array, evidence: EvidenceConfig, config: DecisionConfig) -> Verdict:
     """The verdict over all weighed hypotheses of one pair of maps; ``alias`` as in `log_weights`."""
     odds = np.array([w.log_odds for w in weighed])
-    weights = log_weights(odds, alias, evidence)
+    weights = log_weights(odds, alias, evidence, np.array([w.spared for w in weighed]))
     other_floor = log_alike(odds, np.array([w.alike for w in weighed]), evidence)
     everything = probabilities(weights - other_floor, config.overlap_prior)
     order = np.lexsort((-odds, -everything[:-1])) if len(odds) else np.zeros(0, dtype=np.intp)

@@ -90,7 +90,7 @@ class Weighed:
     ``lacking`` (6,): what is there and what is missing, as the odds of an alias that lacks each of
     `mapfuse.fusion.repetition.LACKING`. ``missed1``, ``missed2``: landmarks of map 1, map 2 that the other robot passed
     without recording them; ``through1``, ``through2``: how many blocked arms of each of these it drove through
-    (`mapfuse.fusion.passing.Passing`).
+    (`mapfuse.fusion.passing.Passing`). ``spared`` [nats]: what of `EvidenceConfig.look_elsewhere` it didn't pay.
     """
 
     growth: Growth
@@ -101,6 +101,7 @@ class Weighed:
     missed2: tuple[int, ...]
     through1: tuple[int, ...] = ()
     through2: tuple[int, ...] = ()
+    spared: float = 0.0
 
     @property
     def log_odds(self) -> float:
@@ -158,8 +159,9 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
     matches, regular = corridor_matches(joined, background, angle)
     on_corridors = not background.has_points or not background.points1[joined.i].all()
     prior = corridor_prior(background, way.overlap) if on_corridors else point_prior(background)
+    searched = look_elsewhere(regular, background.regularity(angle).distances if on_corridors else 0, config)
     terms = Terms(
-        prior=prior - look_elsewhere(regular, background.regularity(angle).distances if on_corridors else 0, config),
+        prior=prior - searched,
         matches=matches,
         points=point_matches(joined, background),
         regular=regular,
@@ -179,4 +181,5 @@ def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Wei
         tuple(way.missed1.tolist()),
         tuple(way.missed2.tolist()),
         *way.of_missed,
+        spared=config.look_elsewhere - searched,
     )

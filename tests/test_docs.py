@@ -281,7 +281,7 @@ def test_repetition_rule_as_stated():
 
 def test_another_floor_of_one_plan_as_stated():
     S, b, overlap = np.array([9.0, 3.0]), np.array([1.5, -0.4]), 0.3
-    weighed = [SimpleNamespace(log_odds=s, alike=k) for s, k in zip(S, b, strict=True)]
+    weighed = [SimpleNamespace(log_odds=s, alike=k, spared=0.0) for s, k in zip(S, b, strict=True)]
     config = EvidenceConfig(repetition_rate=0.0, alike_rate=0.02)
     verdict = decide.decide(weighed, np.zeros(2), config, DecisionConfig(overlap_prior=overlap))
     none = (1 - overlap) / overlap * (1 - 0.02 + 0.02 * np.exp(S + b).sum())

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapfuse.fusion.config import DecisionConfig, EvidenceConfig
-from mapfuse.fusion.decide import decide, posterior
+from mapfuse.fusion.decide import decide, log_weights, posterior
 
 # what other floors of one plan change has tests of its own
 EVIDENCE, DECISION = EvidenceConfig(alike_rate=0.0), DecisionConfig()
@@ -27,7 +27,7 @@ def probabilities(log_odds, contradiction=None, *, prior=0.5, **evidence):
 def decided(hypotheses, config=DECISION):
     """The verdict on hypotheses, each a number of nats, or that and its contradiction; of floors that are unique."""
     pairs = [h if isinstance(h, tuple) else (h, 0.0) for h in hypotheses]
-    weighed = [SimpleNamespace(log_odds=odds, alike=-np.inf) for odds, _ in pairs]
+    weighed = [SimpleNamespace(log_odds=odds, alike=-np.inf, spared=0.0) for odds, _ in pairs]
     return decide(weighed, -np.array([contradiction for _, contradiction in pairs]), EVIDENCE, config)
 
 
@@ -36,6 +36,17 @@ def test_one_hypothesis_against_none_is_bayes():
         assert probabilities([x]) == pytest.approx([1 / (1 + np.exp(-x)), 1 / (1 + np.exp(x))])
     # with a prior for overlap of 0.2 the odds are those times a quarter
     assert probabilities([np.log(4.0)], prior=0.2) == pytest.approx([0.5, 0.5])
+
+
+def test_what_a_rival_did_not_pay_for_the_search_makes_it_no_image():
+    # 25 nats and a rival of 7: with 1.5 nats more that it was spared it weighs as before against the best
+    alias, spared = np.zeros(2), np.array([0.0, 1.5])
+    before = log_weights(np.array([25.0, 7.0]), alias, EVIDENCE)
+    after = log_weights(np.array([25.0, 8.5]), alias, EVIDENCE, spared)
+    assert after == pytest.approx(before, abs=1e-6)
+    # where the building can't repeat itself its odds are its odds
+    unique = EvidenceConfig(repetition_rate=0.0)
+    assert log_weights(np.array([25.0, 8.5]), alias, unique, spared) == pytest.approx([25.0, 8.5])
 
 
 def test_without_hypotheses_there_is_no_overlap():
@@ -134,7 +145,7 @@ def test_the_ranking_follows_the_probabilities_even_against_the_odds():
 
 def on_another_floor(*hypotheses, rate=0.001):
     """The verdict on hypotheses (log odds, what each shows on another floor against on this one)."""
-    weighed = [SimpleNamespace(log_odds=odds, alike=alike) for odds, alike in hypotheses]
+    weighed = [SimpleNamespace(log_odds=odds, alike=alike, spared=0.0) for odds, alike in hypotheses]
     return decide(weighed, np.zeros(len(weighed)), EvidenceConfig(alike_rate=rate), DECISION)
 
 
