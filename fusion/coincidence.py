@@ -9,11 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets import se2
-
 from .background import Background
 from .elastic import PRIOR_SIGMA, Joined, growth_kernels
-from .prepared import PreparedMap
 from .regularity import evidence_kernels
 
 Array = NDArray[np.float64]
@@ -33,17 +30,6 @@ def corridor_matches(joined: Joined, background: Background, angle: float) -> tu
         *(joined.covariance, joined.r, joined.corrected()[0]),
     )
     return matches, regular
-
-
-def _visits(m: PreparedMap, matched: Index, turn: float) -> tuple[Index, Array]:
-    """Order in which matched landmarks are come upon along a map's corridors, and the direction by which each is, as
-    seen in a frame in which the map is turned by ``turn`` [rad]; NaN where no corridor leads there.
-
-    Each stretch of corridor is followed from the landmark nearest to what was visited before, the first one from the
-    middle.
-    """
-    order, along = evidence_kernels().visited(m.positions, m.corridors, m.arm_headings, m.arm_passable, matched)
-    return order, along @ se2.rotation(turn).T
 
 
 def _in_order(joined: Joined, order: Index) -> tuple[Array, Array]:

@@ -50,7 +50,7 @@ class PairScore:
 
 
 def score_pair(fused: FusedMap, truth: Truth) -> PairScore:
-    """The score of two fused maps whose truth is known.
+    """The score of two fused maps whose truth is known. Raises `KeyError` for a result that doesn't hold its maps.
 
     >>> from mapfuse.datasets.simulation.pairs import simulated_pair
     >>> map1, map2, truth = simulated_pair(1)

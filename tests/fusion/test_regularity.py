@@ -10,11 +10,11 @@ from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.fusion import regularity as regular
 from mapfuse.fusion.background import Background
-from mapfuse.fusion.coincidence import _visits, corridor_matches
+from mapfuse.fusion.coincidence import corridor_matches
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.elastic import Joined
 from mapfuse.fusion.prepared import prepare
-from mapfuse.fusion.regularity import DOUBT, ON_A_LINE, Gaps, Regularity, pitch_of
+from mapfuse.fusion.regularity import DOUBT, ON_A_LINE, Gaps, Regularity, evidence_kernels, pitch_of
 
 ANGLE = float(np.deg2rad(EvidenceConfig().corridor_angle_deg))
 WEST, EAST, NORTH = np.pi, 0.0, np.pi / 2
@@ -169,7 +169,8 @@ def test_a_match_in_a_rhythm_is_worth_less_by_what_the_rhythm_says():
     both = np.array([0, 1])
     joined = Joined(m1, m2, np.zeros(3), both, both)
     background = Background(m1, m2)
-    order, along = _visits(m1, both, 0.0)
+    corridors = (m1.positions, m1.corridors, m1.arm_headings, m1.arm_passable)
+    order, along = evidence_kernels().visited(*corridors, both)
     share = background.regularity(ANGLE).shares(order, order, m1.positions[order], along, background.rates1[order])
     assert share[1] > 0.1
     # each map knows the 3 m between the two by one reading, and two robots mean the same place to 0.05 m
