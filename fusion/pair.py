@@ -31,9 +31,12 @@ Array = NDArray[np.float64]
 
 #: A hypothesis less probable than this gets no graph of its own.
 NEGLIGIBLE = 1e-4
-#: A proposal whose score is so far [nats] below the best one's isn't grown. Of 190 tuning pairs, ten of each class of
-#: `benchmarks/calibration_pairs.py`, no answer of its own with a score that far below came within 6 nats of the best.
+#: A proposal whose score is so far [nats] below the best one's isn't grown,
 HOPELESS = 30.0
+#: unless it speaks for itself by more than this [nats]: however far behind, an image of the best is its rival in a
+#: building that repeats. Of 240 tuning pairs, 12 of each class of `benchmarks/calibration_pairs.py`, no answer of its
+#: own below both came above -1.9 nats.
+SPEAKS = 5.0
 #: So many proposed matches place map 2 by themselves.
 ENOUGH = 4
 #: How often the best hypotheses get graphs where walls speak; further ones are held against the walls without one.
@@ -84,11 +87,11 @@ def grow_all(
 def _worth_growing(
     hypotheses: list[Hypothesis], m1: PreparedMap, m2: PreparedMap, config: FuseConfig
 ) -> list[Hypothesis]:
-    """Those that are not far behind the best one; all, where scores are counts, or those of points under a bend."""
+    """Those not far behind the best one, or likely by themselves; all, where scores are counts or of bent points."""
     if config.matching.mode == "paper" or not (m1.headed.any() and m2.headed.any()):
         return hypotheses
     best = max((h.score for h in hypotheses), default=0.0)
-    return [h for h in hypotheses if h.score > best - HOPELESS]
+    return [h for h in hypotheses if h.score > min(best - HOPELESS, SPEAKS)]
 
 
 def _seed(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> tuple[tuple[int, int], ...]:

@@ -10,9 +10,10 @@ from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.datasets.transform import Transform
+from mapfuse.fusion import fuse
 from mapfuse.fusion.config import FuseConfig
 from mapfuse.fusion.growth import grow
-from mapfuse.fusion.pair import HOPELESS, _worth_growing, grow_all
+from mapfuse.fusion.pair import HOPELESS, SPEAKS, _worth_growing, grow_all
 from mapfuse.fusion.prepared import prepare
 from mapfuse.matching import MatchingConfig, propose
 from mapfuse.matching.hypothesis import Hypothesis
@@ -20,7 +21,7 @@ from mapfuse.matching.hypothesis import Hypothesis
 CONFIG = FuseConfig()
 PROPOSED = [
     Hypothesis(Transform(float(k), 0.0, 0.0), 5, score=score)
-    for k, score in enumerate((60.0, 61.0 - HOPELESS, 60.0 - HOPELESS, -70.0))
+    for k, score in enumerate((20.0, 21.0 - HOPELESS, 20.0 - HOPELESS, -70.0))
 ]
 
 
@@ -32,6 +33,22 @@ def test_what_is_far_behind_the_best_is_not_grown():
     headed = one(Link("open", 0.0))
     assert _worth_growing(PROPOSED, headed, headed, CONFIG) == PROPOSED[:2]
     assert _worth_growing([], headed, headed, CONFIG) == []
+
+
+def test_what_speaks_for_itself_is_grown_however_far_behind():
+    # the image of a far better placement decides whether that can be told
+    headed = one(Link("open", 0.0))
+    scores = (100.0, 1.0 + SPEAKS, SPEAKS)
+    proposed = [Hypothesis(Transform(float(k), 0.0, 0.0), 5, score=score) for k, score in enumerate(scores)]
+    assert _worth_growing(proposed, headed, headed, CONFIG) == proposed[:2]
+
+
+def test_an_image_of_the_best_far_behind_it_is_a_rival():
+    # 5 matches against 13, 34 nats behind, but the building is the same from either end
+    map1, map2, _ = simulated_pair(2, "symmetric")
+    fused = fuse([map1, map2])
+    assert fused.decision == "ambiguous"
+    assert sorted(len(h.correspondences) for h in fused.pairs[0].hypotheses[:2]) == [5, 13]
 
 
 def test_scores_that_are_no_nats_cut_nothing():
