@@ -48,16 +48,17 @@ def side(m: PreparedMap) -> Any:
 
 
 def _side(m: PreparedMap) -> Any:
+    times = m.noise_scale**2
     return growth_kernels().Side(
         m.positions,
         m.headings,
-        m.covariance,
+        m.covariance if times == 1.0 else m.covariance * times,
         m.arm_headings,
         m.arm_passable,
         m.arm_travelled,
         ~m.has_arms,
         m.arms_in_covariance,
-        m.map.noise.heading_sigma**2 / 2,
+        times * m.map.noise.heading_sigma**2 / 2,
         m.local_density,
     )
 

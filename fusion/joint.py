@@ -68,7 +68,8 @@ def solve_group(
     """
     maps, shared = tuple(maps), tuple(shared)
     poses = [np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in maps]
-    solution = solve(_problem(maps, frames, shared, poses, DOUBT), config)
+    scale = _noise_scale(maps)
+    solution = solve(_problem(maps, frames, shared, poses, DOUBT), config, scale)
     for _ in range(MAX_REGROUPINGS):
         kept = _without(maps, shared, solution)
         if kept == shared:
@@ -78,7 +79,7 @@ def solve_group(
         if not regrouped:
             break
         frames, poses = _solved(maps, solution)
-        solution = solve(_problem(maps, frames, shared, poses, None), config)
+        solution = solve(_problem(maps, frames, shared, poses, None), config, scale)
     return Joint(maps, solution if walled is None else walled.added(solution), shared, 0, walled)
 
 
@@ -88,9 +89,15 @@ def referred_to(joint: Joint, reference: int, config: SolvingConfig) -> Joint:
         return joint
     frames, poses = _solved(joint.maps, joint.solution)
     frames = [np.asarray(se2.between(frames[reference], T)) for T in frames]
-    solution = solve(_problem(joint.maps, frames, joint.shared, poses, None, reference), config)
+    problem = _problem(joint.maps, frames, joint.shared, poses, None, reference)
+    solution = solve(problem, config, _noise_scale(joint.maps))
     walled = joint.walled
     return Joint(joint.maps, solution if walled is None else walled.added(solution), joint.shared, reference, walled)
+
+
+def _noise_scale(maps: Sequence[PreparedMap]) -> float:
+    """By how much the sigmas of the worst stated map are too small."""
+    return max(m.noise_scale for m in maps)
 
 
 def _problem(

@@ -299,7 +299,8 @@ def _placement(
         return Placement(weight, T12, prepared, _places(prepared, ()), None)
     maps = prepared[0].map, prepared[1].map
     starts = [np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in prepared]
-    solution = solve(pair_problem(*maps, T12, matches, starts=(starts[0], starts[1])), config)
+    scale = max(m.noise_scale for m in prepared)
+    solution = solve(pair_problem(*maps, T12, matches, starts=(starts[0], starts[1])), config, scale)
     gone = {match.pair for match in solution.rejected}
     keys = [(LandmarkKey(0, a), LandmarkKey(1, b)) for a, b in matches]
     places = _places(prepared, [pair for pair in keys if pair not in gone])

@@ -24,6 +24,7 @@ from mapfuse.factors.heading import heading_is_joint, headings_of, signatures_of
 
 from .config import SolvingConfig
 from .credibility import false_by_own_map, stated_false, straight_on
+from .noisefit import noise_fits, scaled
 from .solve import Solution, solve
 
 Array = NDArray[np.float64]
@@ -66,15 +67,26 @@ class PreparedMap:
         return np.zeros((0, 0)) if self.solution is None else self.solution.landmark_covariance(0)
 
     @cached_property
+    def noise_scale(self) -> float:
+        """By how much, 1 or more, the stated sigmas are too small, where this map's own residuals refute them.
+
+        Maps are compared with it; what is reported stays as stated (docs/evidence.md, "Wrong noise").
+        """
+        if self.solution is None:
+            return 1.0
+        fit = noise_fits(self.solution)[0]
+        return 1.0 if fit.can_be_true else max(fit.estimate, 1.0)
+
+    @cached_property
     def straightened(self) -> LandmarkMap:
-        """The recorded map with positions and arm headings at its own optimum, for the matcher."""
+        """The recorded map at its own optimum, positions and arm headings, with believable noise; for the matcher."""
         of = headings_of(self.map)
         moved = zip(self.map.landmarks, self.positions.tolist(), self.headings.tolist(), strict=True)
         landmarks = (
             _moved(landmark, x, y, 0.0 if isnan(heading) else heading - (of[landmark.id] or 0.0))
             for landmark, (x, y), heading in moved
         )
-        return self.map.replace(landmarks=tuple(landmarks))
+        return scaled(self.map.replace(landmarks=tuple(landmarks)), self.noise_scale)
 
     @cached_property
     def headed(self) -> NDArray[np.bool_]:

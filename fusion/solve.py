@@ -286,12 +286,13 @@ def all_left_out(solution: Solution, matches: Sequence[Correspondence]) -> Array
     return np.asarray(np.einsum("ki,ki->k", r, np.linalg.solve(free, r[:, :, None])[..., 0]))
 
 
-def solve(problem: Problem, config: SolvingConfig) -> Solution:
+def solve(problem: Problem, config: SolvingConfig, noise_scale: float = 1.0) -> Solution:
     """Solve a problem; correspondences under a robust loss are gated, and the accepted ones solved as plain Gaussian.
 
     One by one, the correspondence that disagrees most with all the rest is taken out, while it lies beyond the
     chi-square gate, and the rest is solved again. Where many disagree at first the optimum of all may be far from the
-    right one: the robust optimum is then the starting point.
+    right one: the robust optimum is then the starting point. ``noise_scale``: by how much the stated sigmas are known
+    to be too small (`mapfuse.fusion.prepared.PreparedMap.noise_scale`); the gate is as much wider.
 
     Raises `UndeterminedError` naming the landmarks concerned where the measurements leave something open.
     """
@@ -300,20 +301,20 @@ def solve(problem: Problem, config: SolvingConfig) -> Solution:
     solution = optimum(trusted)
     if doubted:
         solution = _turned(trusted, solution)
-    excess = _excess(solution, config)
+    excess = _excess(solution, config, noise_scale)
     if doubted and len(excess) and np.mean(excess > 1) > MANY:
         # what all measurements determine is determined: where the robust optimum is no place to start from, the first
         # solution is left, and loses its matches one by one
         with suppress(UndeterminedError):
             solution = optimum(_matched_again(problem.starting_at(_robust_optimum(problem))))
-            excess = _excess(solution, config)
+            excess = _excess(solution, config, noise_scale)
     rejected: list[Correspondence] = []
     while excess.max(initial=0.0) > 1:
         worst = solution.problem.of_kind(Correspondence)[int(np.argmax(excess))]
         rejected.append(worst)
         kept = [m for m in solution.problem.measurements if m is not worst]
         solution = optimum(solution.problem.starting_at(solution.poses).with_measurements(kept), rejected)
-        excess = _excess(solution, config)
+        excess = _excess(solution, config, noise_scale)
     return solution
 
 
@@ -338,7 +339,7 @@ def _turned(problem: Problem, solution: Solution) -> Solution:
     return solution if again.measurements == problem.measurements else optimum(again)
 
 
-def _excess(solution: Solution, config: SolvingConfig) -> Array:
+def _excess(solution: Solution, config: SolvingConfig, noise_scale: float) -> Array:
     """How far each correspondence disagrees with all the rest, by the gate's distance (k,).
 
     0 of fewer than three: either of two may be the wrong one.
@@ -347,4 +348,4 @@ def _excess(solution: Solution, config: SolvingConfig) -> Array:
     if len(matches) < 3:
         return np.zeros(len(matches))
     dof = np.array([m.dof for m in matches])
-    return np.asarray(all_left_out(solution, matches) / chi2_gate(config.gate_probability, dof))
+    return np.asarray(all_left_out(solution, matches) / (chi2_gate(config.gate_probability, dof) * noise_scale**2))

@@ -70,8 +70,10 @@ def _serve(connection: Connection, config: FuseConfig) -> None:
         except EOFError:
             return
         try:
-            fused = judge.weigh(changed, covariances=False)
+            fused: FusedMap | Exception = judge.weigh(changed, covariances=False)
         except Exception as error:
-            connection.send(error)
-        else:
+            fused = error
+        try:
             connection.send(fused)
+        except BrokenPipeError:  # whoever asked has gone
+            return

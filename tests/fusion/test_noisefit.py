@@ -15,6 +15,7 @@ from mapfuse.fusion import FuseConfig, fuse, read_fused, write_fused
 from mapfuse.fusion.cli.summary import summarise
 from mapfuse.fusion.config import SolvingConfig
 from mapfuse.fusion.noisefit import noise_fits, scaled
+from mapfuse.fusion.prepared import prepare
 from mapfuse.fusion.result import AS_STATED, NoiseFit
 from mapfuse.fusion.solve import solve
 
@@ -66,6 +67,28 @@ def test_residuals_add_up_to_the_redundancy_where_the_noise_is_true(stated):
     assert low - 0.02 < total < high + 0.02
     told = np.mean([not fit.can_be_true for fit in fits])
     assert told < 0.05 if stated == 1.0 else told > 0.9
+
+
+def test_refuted_noise_is_judged_as_the_map_shows_it_and_reported_as_stated():
+    map1, _, _ = simulated_pair(81_030)
+    true, half = prepare(map1, SOLVING), prepare(scaled(map1, 0.5), SOLVING)
+    assert true.noise_scale == 1.0
+    assert half.noise_scale == pytest.approx(2.0, rel=0.25)
+    assert prepare(scaled(map1, 2.0), SOLVING).noise_scale == 1.0  # caution costs nothing
+    np.testing.assert_allclose(half.covariance, true.covariance / 4, rtol=0.05, atol=1e-5)
+    assert half.straightened.noise.heading_sigma == pytest.approx(half.noise_scale * half.map.noise.heading_sigma)
+
+
+def test_noise_stated_half_loses_no_merge():
+    # judged as stated, a quarter of the right matches lies beyond the gate, and one pair in seven isn't merged
+    robots = tuple(replace(robot, stated_noise_factor=0.5) for robot in (VESPUCCI, MILKA))
+    for seed in range(81_040, 81_060):
+        map1, map2, truth = simulated_pair(seed, robots=robots)
+        fused = fuse([map1, map2])
+        assert fused.decision == "merged", seed
+        right = set(truth.true_pairs("A", "B"))
+        assert len(right.intersection(fused.pairs[0].correspondences)) >= 0.7 * len(right), seed
+        assert all(fit.used == 1.0 for fit in fused.noise.values())
 
 
 def test_what_follows_from_chi2():
