@@ -22,21 +22,35 @@ BEND_ERROR_RATE = 0.05
 #: As if so many true corners, all of which bend but for `BEND_ERROR_RATE`, had been seen before; and of any other kind
 #: two landmarks, one of which bends.
 CORNERS_BEFORE, OTHERS_BEFORE = 10.0, 2.0
+#: So many times at most that a robot came by again and detected nothing speak against a landmark: what hides it once
+#: may hide it for good.
+MOST_UNDETECTED = 3
 #: Rounds of estimating how many true landmarks of a kind stand where a corridor goes straight on; it converges.
 _ROUNDS = 30
 
 
 def stated_false(map_: LandmarkMap, k: int) -> float:
-    """Probability that a recorded landmark isn't there by what the map states: the robot's rate to the power of the
-    detections, or the map's own `existence`.
+    """Probability that a recorded landmark isn't there by what the map states: the map's own `existence`, or else the
+    robot's rate to the power of the detections, and how often the robot came by again without detecting it.
 
     Never quite 0 or 1, whatever the map states: no evidence is infinite.
+
+    >>> from mapfuse.datasets import Landmark, LandmarkMap, Noise
+    >>> seen = Landmark("a", "corner", 0.0, 0.0), Landmark("b", "corner", 0.0, 0.0, visit_counter=2)
+    >>> stated = LandmarkMap("m", seen, noise=Noise(detection_rate=0.84, false_alarm_rate=0.2))
+    >>> round(stated_false(stated, 0), 3), round(stated_false(stated, 1), 3)  # odds of 1 : 4; times 0.8 / 0.16
+    (0.2, 0.556)
     """
     landmark = map_.landmarks[k]
     if landmark.existence is not None:
         rate = 1 - landmark.existence
     else:
-        rate = map_.noise.false_alarm(landmark.type) ** max(1, landmark.detection_counter)
+        alarm, detection = map_.noise.false_alarm(landmark.type), map_.noise.detection(landmark.type)
+        detections = max(1, landmark.detection_counter)
+        undetected = min(max(landmark.visit_counter - detections, 0), MOST_UNDETECTED)
+        false = alarm**detections * (1 - alarm) ** undetected
+        true = (1 - alarm**detections) * max(1 - detection, 1e-3) ** undetected
+        rate = false / (false + true) if false + true > 0 else alarm
     return min(max(rate, 1e-9), 1 - 1e-9)
 
 
@@ -64,26 +78,32 @@ def straight_on(arm_headings: Array, passable: Flags, travelled: Flags) -> tuple
 
 
 def false_by_own_map(
-    stated: Array, kinds: tuple[str, ...], settled: Flags, on: Flags, bends: Flags
+    stated: Array, kinds: tuple[str, ...], settled: Flags, on: Flags, bends: Flags, visits: Array
 ) -> tuple[Array, dict[str, float]]:
     """Probability (n,) that each landmark isn't there, given how the corridor goes on at it; and of each kind the share
-    of true ones that their robot drove straight through.
+    of visits to true ones that go straight through.
 
-    ``stated`` (n,): before that is looked at; ``settled`` (n,): which are taken as stated, whatever the corridor does.
-    Bayes for each kind, with the share of its true landmarks at which the corridor goes straight on estimated from the
-    map itself, each one counting as far as it is believed.
+    ``stated`` (n,): before that is looked at; ``settled`` (n,): which are taken as stated, whatever the corridor does;
+    ``visits`` (n,): how often the robot came by, each time of which it may have turned off. Bayes for each kind, with
+    that share estimated from the map itself, each landmark counting as far as it is believed (expectation and
+    maximisation).
     """
     false, shares = stated.copy(), dict[str, float]()
     for kind in sorted(set(kinds)):
         of = np.array([other == kind for other in kinds]) & (on | bends)
+        # where a corner is the corridor bends, and one that was taken for going straight stays so
         before, first = (CORNERS_BEFORE, BEND_ERROR_RATE) if kind == CORNER else (OTHERS_BEFORE, 0.5)
+        times = np.ones(int(of.sum())) if kind == CORNER else visits[of]
         straight, share = on[of], first
         seen = np.where(straight, 1 - BEND_ERROR_RATE, BEND_ERROR_RATE)
         for _ in range(_ROUNDS):
-            told = np.where(settled[of], 1.0, seen / np.where(straight, share, 1 - share))
+            always = share**times
+            told = np.where(settled[of], 1.0, seen / np.where(straight, always, 1 - always))
             odds = stated[of] / (1 - stated[of]) * told
             there = 1 / (1 + odds)
-            share, last = float((there[straight].sum() + first * before) / (there.sum() + before)), share
+            # of the visits to one at which the robot turned off once or more, those that went straight
+            through = np.where(straight, times, times * (share - always) / (1 - always))
+            share, last = float((there @ through + first * before) / (there @ times + before)), share
             if share == last:  # to the last digit, as all further rounds would be
                 break
         false[of], shares[kind] = odds / (1 + odds), share

@@ -118,7 +118,8 @@ class PreparedMap:
         stated = np.array([stated_false(self.map, k) for k in range(len(self))], dtype=float)
         settled = np.array([landmark.existence is not None for landmark in self.map.landmarks], dtype=bool)
         ways = straight_on(self.arm_headings, self.arm_passable, self.arm_travelled)
-        false, shares = false_by_own_map(stated, self.map.types, settled, *ways)
+        visits = np.array([max(landmark.visit_counter, 1) for landmark in self.map.landmarks], dtype=float)
+        false, shares = false_by_own_map(stated, self.map.types, settled, *ways, visits)
         armed = {self.map.types[k] for k in np.flatnonzero(self.has_arms)}
         return false, {kind: share for kind, share in shares.items() if kind in armed}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
+from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
 from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.fusion.config import SolvingConfig
 from mapfuse.fusion.credibility import BEND_ERROR_RATE, CORNERS_BEFORE, false_by_own_map, stated_false, straight_on
@@ -41,7 +41,7 @@ def test_how_the_corridor_goes_on(arms, expected):
 def believed(count_on, count_bends, kind="corner", stated=0.2):
     n = count_on + count_bends
     on = np.arange(n) < count_on
-    return false_by_own_map(np.full(n, stated), (kind,) * n, np.zeros(n, bool), on, ~on)
+    return false_by_own_map(np.full(n, stated), (kind,) * n, np.zeros(n, bool), on, ~on, np.ones(n))
 
 
 def test_the_share_that_goes_straight_explains_itself():
@@ -62,6 +62,46 @@ def test_a_corner_in_the_middle_of_a_corridor_is_hardly_one_and_a_door_there_is_
     assert believed(4, 16)[0][0] > 0.75
     assert believed(4, 16)[0][-1] < 0.02
     assert believed(20, 0, "door", 0.03)[0][0] == pytest.approx(0.03, rel=0.1)
+
+
+def test_coming_by_again_without_detecting_it_speaks_against_a_landmark():
+    # odds of 1 : 4; each further visit 1 - 0.2 of false alarms, 1 - 0.81 of true corners stay undetected
+    def false_of(visits, detections, **more):
+        corner = Landmark("c", "corner", 0.0, 0.0, visit_counter=visits, detection_counter=detections, **more)
+        return stated_false(LandmarkMap("m", (corner,), noise=Noise(detection_rate=0.81, false_alarm_rate=0.2)), 0)
+
+    for visits in (2, 3, 4):
+        odds = 0.25 * (0.8 / 0.19) ** (visits - 1)
+        assert false_of(visits, 1) == pytest.approx(odds / (1 + odds))
+    odds = 0.04 / 0.96 * 0.8 / 0.19
+    assert false_of(3, 2) == pytest.approx(odds / (1 + odds))
+    # no more than three times: what hides it once may hide it always; nor what the map itself says is revised
+    assert false_of(1000, 1) == false_of(4, 1)
+    assert false_of(1000, 1, existence=0.9) == pytest.approx(0.1)
+    # a robot that never misses nor invents anything would be contradicted by its own counters
+    sure = LandmarkMap(
+        "m",
+        (Landmark("c", "corner", 0.0, 0.0, visit_counter=9),),
+        noise=Noise(detection_rate=1.0, false_alarm_rate=0.0),
+    )
+    assert stated_false(sure, 0) < 1e-6
+
+
+def test_each_visit_is_a_chance_to_turn_off():
+    # of junctions visited twice (once) the robot went straight through 2 of 10 (6 of 12), all of them true: the share
+    # of visits that go straight is the one that makes this most probable
+    visits = np.repeat([2.0, 1.0], [10, 12])
+    on = np.concatenate([np.arange(10) < 2, np.arange(12) < 6])
+    false, shares = false_by_own_map(np.full(22, 1e-12), ("junction",) * 22, np.zeros(22, bool), on, ~on, visits)
+    s = np.linspace(0.001, 0.999, 9999)
+    # two visits before, one of which went straight
+    log_likelihood = (2 * 2 + 6 + 1) * np.log(s) + 8 * np.log(1 - s**2) + (6 + 1) * np.log(1 - s)
+    assert shares["junction"] == pytest.approx(s[np.argmax(log_likelihood)], abs=2e-3)
+    assert (false < 1e-8).all()
+    # and where false alarms are as common, going straight twice tells more
+    false, shares = false_by_own_map(np.full(22, 0.2), ("junction",) * 22, np.zeros(22, bool), on, ~on, visits)
+    odds = false / (1 - false)
+    assert odds[0] / odds[10] == pytest.approx(1 / shares["junction"], rel=1e-3)
 
 
 def test_what_a_map_states_of_a_landmark_stands():
