@@ -5,7 +5,9 @@
 
 Of every kind of floor N pairs, by seeds that nothing was tuned or tested on before; each pair counts as with a loop
 where the ways of both robots together close one. rms are of all recorded landmarks that are true places, in the frame
-of map 1 and after the best rigid motion; ratios and means over the pairs that both methods merged. What loops are
+of map 1 and after the best rigid motion; ratios and means over the pairs that both methods merged. ``bound``: the rms
+that is expected of the optimum of all measurements with the true matches, by its covariance: Cramer and Rao's bound, no
+unbiased estimate from the same measurements has less. What loops are
 worth: the same of floors that both robots explored whole, with recorded positions that close all loops, and as first
 reckoned, which close none. Hospitals: two fresh drives each through the building of the hospital pair, as
 `mapfuse.datasets.recordings.make_paper_maps` makes them, mapped and merged. ``--write`` keeps the tables in
@@ -18,6 +20,7 @@ import argparse
 import logging
 import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -30,15 +33,20 @@ from mapfuse.datasets.maps import LandmarkMap
 from mapfuse.datasets.recordings.make_paper_maps import hospital_building, hospital_logs
 from mapfuse.datasets.simulation.pairs import simulated_pair
 from mapfuse.datasets.truth import Truth
+from mapfuse.factors import LandmarkKey, pair_problem
 from mapfuse.fusion.compare import Evaluation, Interval, compare_pair, methods
 from mapfuse.fusion.compare.hospital import OnPlan, on_plan
 from mapfuse.fusion.compare.statistics import interval
+from mapfuse.fusion.config import SolvingConfig
+from mapfuse.fusion.solve import solve
 
 FIRST_SEED = 2_000_000
 #: Share of the corridors that a robot knows which explored a floor whole.
 WHOLE = (0.95, 1.0)
 KINDS = ("irregular", "oblique", "alike", "symmetric", "wings")
 METHODS = ("heuristic", "kalman", "optimised")
+#: What no unbiased estimate goes below, beside them.
+BOUND = "bound"
 RESULT = Path(__file__).resolve().parent / "results" / "compare-simulated.md"
 Pair = dict[str, Evaluation]
 
@@ -61,6 +69,38 @@ def loops(maps: Sequence[LandmarkMap], truth: Truth) -> int:
     return len(ways) - len(names) + int(connected_components(graph, directed=False)[0])
 
 
+def bound(map1: LandmarkMap, map2: LandmarkMap, truth: Truth) -> tuple[float, float]:
+    """Expected rms [m] of all recorded true places in the frame of map 1, and after the best rigid motion, by the
+    covariance of the optimum with the true matches."""
+    maps = (map1, map2)
+    matches = truth.true_pairs(map1.name, map2.name)
+    T12 = truth.T12(map1.name, map2.name).array
+    solution = solve(pair_problem(map1, map2, T12, matches, robust=False), SolvingConfig())
+    keys = [LandmarkKey(r, i) for r, m in enumerate(maps) for i in m.ids if truth.landmarks[m.name][i] is not None]
+    xy = np.array([solution.poses[key][:2] for key in keys])
+    rows = (3 * np.arange(len(keys))[:, None] + np.arange(2)).ravel()
+    C = solution.joint_covariance(keys)[np.ix_(rows, rows)]
+    # what a rigid motion takes away, to first order: two shifts and a turn
+    motion = np.zeros((2 * len(keys), 3))
+    motion[0::2, 0] = motion[1::2, 1] = 1.0
+    motion[0::2, 2], motion[1::2, 2] = -xy[:, 1], xy[:, 0]
+    Q = np.linalg.qr(motion)[0]
+    left = np.trace(C) - np.trace(Q.T @ C @ Q)
+    return float(np.sqrt(np.trace(C) / len(keys))), float(np.sqrt(left / len(keys)))
+
+
+def with_bound(pair: Pair, map1: LandmarkMap, map2: LandmarkMap, truth: Truth) -> Pair:
+    """The pair with `BOUND` as a method of its own, on what the optimised one merged."""
+    optimised = pair["optimised"]
+    if optimised.truth is None or optimised.truth.rms is None:
+        return {**pair, BOUND: replace(optimised, method=BOUND)}
+    rms, aligned = bound(map1, map2, truth)
+    return {
+        **pair,
+        BOUND: replace(optimised, method=BOUND, truth=replace(optimised.truth, rms=rms, rms_aligned=aligned)),
+    }
+
+
 def floors(first: int, count: int) -> dict[tuple[str, bool], list[Pair]]:
     """Pairs by kind of floor and whether a loop was closed."""
     chosen = methods(METHODS)
@@ -69,6 +109,7 @@ def floors(first: int, count: int) -> dict[tuple[str, bool], list[Pair]]:
         for seed in range(first, first + count):
             map1, map2, truth = simulated_pair(seed, kind)
             pair = {e.method: e for e in compare_pair(map1, map2, chosen, truth)}
+            pair = with_bound(pair, map1, map2, truth)
             found.setdefault((kind, loops((map1, map2), truth) > 0), []).append(pair)
         print(kind, "done", flush=True)
     return found
@@ -86,7 +127,7 @@ def whole_floors(first: int, count: int) -> dict[tuple[str, bool], list[Pair]]:
                 map1, map2, truth = simulated_pair(seed, kind, share=WHOLE, loops_closed=closed)
                 if loops((map1, map2), truth):
                     pair = {e.method: e for e in compare_pair(map1, map2, chosen, truth)}
-                    found.setdefault((kind, closed), []).append(pair)
+                    found.setdefault((kind, closed), []).append(with_bound(pair, map1, map2, truth))
         print(kind, "whole, done", flush=True)
     return found
 
@@ -119,10 +160,12 @@ def floor_table(found: dict[tuple[str, bool], list[Pair]], of: str) -> list[str]
     every[False] = [p for (_, loop), ps in found.items() if not loop for p in ps]
     groups = [*sorted(found.items()), *((("all", loop), ps) for loop, ps in every.items() if ps)]
     for (kind, loop), pairs in groups:
-        for method in METHODS:
+        for method in (*METHODS, BOUND):
             own = [p[method] for p in pairs]
             merged, wrong = sum(e.decision == "merged" for e in own), sum(bool(e.merged_wrongly) for e in own)
             line = f"| {kind} | {'yes' if loop else 'no'} | {method} | {len(own)} | {merged} | {wrong} |"
+            if method == BOUND:
+                line = f"| {kind} | {'yes' if loop else 'no'} | {method} | {len(own)} | - | - |"
             if method == "heuristic":
                 lines.append(line + " - |" * 7)
                 continue
