@@ -19,7 +19,7 @@ from .background import Background
 from .coincidence import corridor_matches, corridor_prior, point_matches, point_prior
 from .config import EvidenceConfig
 from .growth import Growth
-from .passing import emptiness, passing_at
+from .passing import emptiness, passing_at, per_arm
 from .prepared import PreparedMap
 from .repetition import alias, another_floor, lacking_odds
 
@@ -30,8 +30,6 @@ ONE_GRID = 0.5
 #: All of `EvidenceConfig.look_elsewhere` is taken off where what a regular building is worth less comes to so many
 #: nats; half of it where it comes to none, and so many distances along corridors are known that a rhythm would show.
 REGULAR_NATS, DISTANCES = 7.5, 20
-#: The error rate of arms is believed as if it had been found from so many.
-ARMS_BEFORE = 4.0
 #: Probability that a compass agrees by chance although its robot was misled by steel everywhere.
 STEEL_RATE = 0.003
 
@@ -150,23 +148,12 @@ def look_elsewhere(regular: float, distances: int, config: EvidenceConfig) -> fl
     return (1 - irregular / 2) * config.look_elsewhere
 
 
-def contradictions(agree: int, contradict: int, config: EvidenceConfig) -> float:
-    """What arms of matched landmarks take off [nats] that ``contradict``, where so many others ``agree``.
-
-    How often the robots sense arms wrongly isn't known but as if `ARMS_BEFORE` arms had been compared before, of which
-    the share `EvidenceConfig.arm_error_rate` contradicted. Each arm is predicted from all before it (a beta-binomial
-    distribution), those that agree first; under no overlap an arm is open or blocked with even odds.
-    """
-    wrong = ARMS_BEFORE * config.arm_error_rate
-    return sum(math.log(2 * (wrong + k) / (ARMS_BEFORE + agree + k)) for k in range(contradict))
-
-
 def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Weighed:
     """The evidence of a grown hypothesis."""
     joined = growth.joined
     way = passing_at(joined.T12, joined.corrected(), (joined.i, joined.j), background, config)
     misses, void, arms, crossings = emptiness(way, background, config)
-    arms += contradictions(int(joined.arms.coincide.sum()), int(joined.arms.contradict.sum()), config)
+    arms += per_arm(config) * int(joined.arms.contradict.sum())
     compass = _compass(joined.m1, joined.m2, float(joined.T12[2]))
     angle = math.radians(config.corridor_angle_deg)
     matches, regular = corridor_matches(joined, background, angle)

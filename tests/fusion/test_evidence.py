@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from scipy.stats import beta, multivariate_normal, norm
+from scipy.stats import multivariate_normal, norm
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
@@ -15,15 +15,7 @@ from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.coverage import SeenArea, Segments, overlap_length, passed
 from mapfuse.fusion.elastic import PRIOR_SIGMA, Joined
-from mapfuse.fusion.evidence import (
-    DISTANCES,
-    ONE_GRID,
-    REGULAR_NATS,
-    STEEL_RATE,
-    contradictions,
-    look_elsewhere,
-    weigh,
-)
+from mapfuse.fusion.evidence import DISTANCES, ONE_GRID, REGULAR_NATS, STEEL_RATE, look_elsewhere, weigh
 from mapfuse.fusion.growth import Growth, grow
 from mapfuse.fusion.passing import emptiness, passing_at
 from mapfuse.fusion.prepared import prepare
@@ -235,24 +227,12 @@ def test_a_corner_and_a_junction_at_one_place_are_not_both_there(apart):
     assert swapped.misses + swapped.arms == pytest.approx(both)
 
 
-def test_contradictions_are_what_an_unknown_error_rate_makes_of_them():
-    # the beta-binomial by its definition: mean over rates e of e^c (1 - e)^m, over that of (1 - e)^m, against even odds
-    for agree, contradict in ((0, 1), (7, 1), (20, 3), (20, 0)):
-        e = beta(4 * CONFIG.arm_error_rate, 4 * (1 - CONFIG.arm_error_rate))
-        both = e.expect(lambda x, m=agree, c=contradict: x**c * (1 - x) ** m)
-        agreeing = e.expect(lambda x, m=agree: (1 - x) ** m)
-        expected = np.log(both / agreeing) + contradict * np.log(2)
-        assert contradictions(agree, contradict, CONFIG) == pytest.approx(expected, abs=1e-3)
-
-
 def test_arms_that_contradict_at_a_matched_landmark():
     opened = end("west", 0.0, 0.0, "east", LENGTH)
     opened = Landmark("west", "corner", 0.0, 0.0, links=(*opened.links[:1], Link("open", np.pi / 2), *opened.links[2:]))
     two = prepare(LandmarkMap("two", (opened, end("east", LENGTH, np.pi, "west", LENGTH))), SOLVING)
     found = weighed(corridor("one"), two, BOTH_ENDS)
-    # of eight arms that meet seven agree; before them as if four had met, of which the error rate contradicted
-    agree = int(found.growth.joined.arms.coincide.sum())
-    assert found.terms.arms == pytest.approx(np.log(4 * CONFIG.arm_error_rate / (4 + agree) / 0.5))
+    assert found.terms.arms == pytest.approx(np.log(CONFIG.arm_error_rate / 0.5))
     # and they don't lie on their corridor the same way: that one of two orientations agrees isn't credited
     one = Background(corridor("one"), two)
     least = sum(one.there1) + sum(one.there2) - np.log(one.rates1).sum()
