@@ -6,6 +6,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import cache
 from importlib.metadata import version
 from itertools import combinations
 from typing import Any
@@ -140,7 +141,13 @@ def provenance_of(
     inputs = {m.name: hashlib.sha256(encode(document)).hexdigest() for m, document in zip(maps, documents, strict=True)}
     stated = [{"maps": list(k.maps), "T12": k.T12.array.tolist(), "covariance": _rows(k)} for k in known]
     told = {"known": stated} if stated else {}
-    return {"mapfuse": version("mapfuse"), "inputs": inputs, "config": asdict(config), **told}
+    return {"mapfuse": _version(), "inputs": inputs, "config": asdict(config), **told}
+
+
+@cache
+def _version() -> str:
+    """Of this package; reading its metadata takes a millisecond each time."""
+    return version("mapfuse")
 
 
 def _rows(known: KnownTransform) -> list[list[float]]:

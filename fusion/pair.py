@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mapfuse.datasets import se2
 from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import pair_problem
@@ -116,22 +117,25 @@ def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
     if len(ordered) < 2:
         return ordered
     growths = [w.growth for w in ordered]
-    partner = np.array([g.partner for g in growths])
-    count = (partner >= 0).sum(axis=1)
+    joined = growths[0].joined
+    count = np.array([len(g.i) for g in growths])
+    partner = np.full((len(growths), len(joined.m1)), -1)
+    i, j = (np.concatenate(places) for places in zip(*((g.i, g.j) for g in growths), strict=True))
+    partner[np.repeat(np.arange(len(growths)), count), i] = j
     shared = ((partner[:, None] == partner) & (partner >= 0)).sum(axis=2)
     same = 2 * shared >= np.minimum(count[:, None], count)
     # the root mean square over n landmarks is no less than the distance of any one of them by the root of n
-    placed = np.array([g.placed2 for g in growths])
+    placed = se2.transform(np.array([g.joined.T12 for g in growths])[:, None], joined.m2.positions)
     first = np.array([g.j[0] for g in growths])
     off = placed[np.arange(len(first)), first][:, None] - placed[:, first].swapaxes(0, 1)
     near = (off**2).sum(axis=2) <= (count[:, None] + count) * tolerance_m**2
-    kept: list[int] = []
+    kept = np.zeros(len(growths), dtype=bool)
     for k, g in enumerate(growths):
-        if not any(same[k][kept]) and not any(
-            _on_one_place(g, growths[other], tolerance_m) for other in kept if near[k, other]
-        ):
-            kept.append(k)
-    return [ordered[k] for k in kept]
+        others = np.flatnonzero(near[k] & kept).tolist()
+        kept[k] = not (same[k] & kept).any() and not any(
+            _on_one_place(g, growths[other], tolerance_m) for other in others
+        )
+    return [w for w, keep in zip(ordered, kept.tolist(), strict=True) if keep]
 
 
 def _on_one_place(a: Growth, b: Growth, tolerance_m: float) -> bool:

@@ -147,9 +147,13 @@ class SelfMatch:
 def repeats(background: Background, config: FuseConfig, best: Array, rival: Array) -> Array:
     """What both maps say of the building lying on itself under the motion from the ``best`` T12 to a ``rival``, (6,).
 
-    As `SelfMatch.under` says it, both maps together.
+    As `SelfMatch.under` says it, both maps together; kept with the background, since a verdict is given before graphs
+    are solved and after.
     """
-    in1, in2 = (SelfMatch(b, config.evidence, config.solving) for b in background.of_each)
-    return in1.under(np.asarray(se2.compose(rival, se2.inverse(best)))) + in2.under(
-        np.asarray(se2.compose(se2.inverse(rival), best))
-    )
+    asked = (config.evidence, config.solving, best.tobytes(), rival.tobytes())
+    if asked not in background.repeated:
+        in1, in2 = (SelfMatch(b, config.evidence, config.solving) for b in background.of_each)
+        background.repeated[asked] = in1.under(np.asarray(se2.compose(rival, se2.inverse(best)))) + in2.under(
+            np.asarray(se2.compose(se2.inverse(rival), best))
+        )
+    return background.repeated[asked]
