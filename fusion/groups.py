@@ -120,7 +120,7 @@ def check_maps(maps: Sequence[LandmarkMap]) -> tuple[dict[str, Any], ...]:
 
 def strays(m: LandmarkMap) -> tuple[Problem, ...]:
     """Landmarks so far from all others that nothing can be computed with them."""
-    if not len(m):
+    if not len(m) or np.ptp(m.positions, axis=0).max() <= LARGEST_MAP_M:
         return ()
     off = np.abs(m.positions - np.median(m.positions, axis=0)).max(axis=1)
     reason = f"lies more than {LARGEST_MAP_M / 1000:g} km from the middle of the map"

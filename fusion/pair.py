@@ -168,10 +168,11 @@ def judged(weighed: list[Weighed], background: Background, config: FuseConfig, s
     """
     if not weighed:
         return decide(weighed, np.zeros((0, 2)), config.evidence, config.decision)
-    best = max(weighed, key=lambda w: w.log_odds)
+    odds = [w.log_odds for w in weighed]
+    best = weighed[odds.index(max(odds))]
     of_building = np.zeros((len(weighed), len(LACKING)))
     for k, w in enumerate(weighed):
-        if self_match and w is not best and w.log_odds > LEAST_RIVAL:
+        if self_match and w is not best and odds[k] > LEAST_RIVAL:
             of_building[k] = repeats(background, config, best.growth.joined.T12, w.growth.joined.T12)
     own = alias(np.array([w.lacking for w in weighed]), of_building) - [w.apart for w in weighed]
     at_best = alias(best.lacking, of_building) - best.apart

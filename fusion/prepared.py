@@ -25,6 +25,7 @@ from mapfuse.factors.heading import heading_is_joint, headings_of, signatures_of
 from .config import SolvingConfig
 from .credibility import false_by_own_map, stated_false, straight_on
 from .noisefit import noise_fits, scaled
+from .result import NoiseFit
 from .solve import Solution, solve
 
 Array = NDArray[np.float64]
@@ -72,10 +73,13 @@ class PreparedMap:
 
         Maps are compared with it; what is reported stays as stated (docs/evidence.md, "Wrong noise").
         """
-        if self.solution is None:
-            return 1.0
-        fit = noise_fits(self.solution)[0]
+        fit = self.noise_fit
         return 1.0 if fit.can_be_true else max(fit.estimate, 1.0)
+
+    @cached_property
+    def noise_fit(self) -> NoiseFit:
+        """How the map's own measurements fit the noise that it states; an empty map has none."""
+        return NoiseFit(0.0, 0.0) if self.solution is None else noise_fits(self.solution)[0]
 
     @cached_property
     def straightened(self) -> LandmarkMap:

@@ -37,8 +37,9 @@ SEEDS = 4
 INVOLUTION = 0.3
 
 
-#: The same as logarithms: of what is there, of the prior, and of the prior of floors that lack something.
-LOG_THERE, LOG_PRIOR = np.log(1 - LACKING), np.log(LACKING_PRIOR)
+#: What is there, and as logarithms: it, the prior, and the prior of floors that lack something.
+THERE = 1 - LACKING
+LOG_THERE, LOG_PRIOR = np.log(THERE), np.log(LACKING_PRIOR)
 LOG_OTHER_FLOOR = np.log(LACKING_PRIOR[1:] / LACKING_PRIOR[1:].sum())
 
 
@@ -47,7 +48,7 @@ def lacking_odds(hits: Array, misses: Array) -> Array:
 
     ``hits``, ``misses``: probability q that a landmark there is recorded, for those that were and those that weren't.
     """
-    missed = np.log1p(-misses[:, None] * (1 - LACKING)).sum(axis=0)
+    missed = np.add.reduce(np.log1p(-misses[:, None] * THERE), axis=0)
     return np.asarray(len(hits) * LOG_THERE + missed - missed[0])  # the first lacks nothing
 
 
