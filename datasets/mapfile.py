@@ -278,6 +278,8 @@ def _links(records: Any, own: Any, ids: Mapping[str, int], place: Place, faults:
 
 def _check_heading(landmark: Landmark, place: Place, faults: Faults) -> None:
     """Where a landmark has arms they are its heading: one beside them agrees, and a 3x3 covariance needs either."""
+    if landmark.heading is None and landmark.covariance is None:
+        return
     arms = [link.heading for link in landmark.links if link.heading is not None]
     if landmark.heading is not None and arms:
         together = heading_of(landmark)

@@ -129,9 +129,8 @@ def _alone(m: PreparedMap, group: int, before: int) -> _Group:
     order = sorted(range(len(m)), key=lambda k: m.map.ids[k])
     places = [Place(((0, k),), existence([(m, k)], [], 1.0)) for k in order]
     names = [f"m{before + k + 1}" for k in range(len(order))]
-    poses = np.column_stack([m.positions, np.nan_to_num(m.headings)])
     block = {(0, k): k for k in range(len(m))}
-    landmarks, joint = merged_landmarks([m.map], places, [poses], block, m.covariance, group, names)
+    landmarks, joint = merged_landmarks([m.map], places, [m.poses], block, m.covariance, group, names)
     return _Group((m.map.name,), landmarks, joint)
 
 

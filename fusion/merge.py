@@ -64,9 +64,9 @@ def _nearest_first(link: Link) -> tuple[bool, float, str]:
 
 def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
     """All arms of one place, those that meet joined; at most four, ways that lead somewhere first."""
-    joined: list[Link] = []
-    counts: list[int] = []
-    for links in sources:
+    joined = list(sources[0])
+    counts = [1] * len(joined)
+    for links in sources[1:]:
         taken: set[int] = set()
         for link in links:
             near = [
@@ -83,6 +83,8 @@ def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
                 joined.append(link)
                 counts.append(1)
                 taken.add(len(joined) - 1)
+    if len(joined) <= MAX_LINKS:
+        return tuple(joined)
     rank = sorted(range(len(joined)), key=lambda k: (joined[k].connected_to_id is None, not is_passable(joined[k])))
     return tuple(joined[k] for k in sorted(rank[:MAX_LINKS]))
 

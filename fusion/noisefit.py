@@ -77,9 +77,9 @@ def _fitted(solution: Solution, of_row: Index, rows: Index, columns: Index, valu
     first = np.minimum(first, last)  # of those that aren't asked any will do: their rows are zero
     is_last = unknown == last[which]
     wide = np.unique(which[~is_last & (unknown != first[which])])  # of more than two unknowns
-    of_two = ~np.isin(which, wide)
+    of_two = np.where(np.isin(which, wide), 0.0, values) if len(wide) else values
     J = np.zeros((len(of_row), 2, 3))
-    J[rows[of_two], is_last[of_two].astype(np.intp), columns[of_two] % 3] = values[of_two]
+    J[rows, is_last.astype(np.intp), columns % 3] = of_two
     # body tangents to axes, once for each row
     rotations = pose_rotations(solution.linearised.thetas)
     J = np.einsum("rsb,rsab->rsa", J, rotations[np.column_stack([first, last])[of_row]])

@@ -149,8 +149,7 @@ def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Wei
     joined = w.growth.joined
     m1, m2 = joined.m1, joined.m2
     matches = [(m1.map.ids[i], m2.map.ids[j]) for i, j in zip(joined.i, joined.j, strict=True)]
-    starts = tuple(np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in (m1, m2))
-    problem = pair_problem(m1.map, m2.map, joined.T12, matches, starts=(starts[0], starts[1]))
+    problem = pair_problem(m1.map, m2.map, joined.T12, matches, starts=(m1.poses, m2.poses))
     solution = solve(problem, config.solving, max(m1.noise_scale, m2.noise_scale))
     if solution.rejected:
         gone = {tuple(key.id for key in match.pair) for match in solution.rejected}

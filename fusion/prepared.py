@@ -35,6 +35,9 @@ MAX_LANDMARKS = 1000
 
 ARMS = 4
 
+#: Among up to so many points all distances are worked out sooner than a tree is built.
+FEW = 100
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedMap:
@@ -56,6 +59,11 @@ class PreparedMap:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    @cached_property
+    def poses(self) -> Array:
+        """Positions and headings (n, 3) in the map's frame, 0 for the heading of a landmark without one."""
+        return np.column_stack([self.positions, np.where(self.headed, self.headings, 0.0)])
 
     @cached_property
     def covariance(self) -> Array:
@@ -152,8 +160,7 @@ class PreparedMap:
             if k < 1:
                 density[of_label] = 1 / widest
                 continue
-            found = cKDTree(self.positions[of_label]).query(self.positions[of_label], k=[k + 1])[0]
-            distance = np.asarray(found)[:, 0]
+            distance = _to_nearest(self.positions[of_label], k)
             density[of_label] = k / np.maximum(np.pi * distance**2, k * 0.05)
         return np.maximum(density, 1 / widest)
 
@@ -182,6 +189,14 @@ class PreparedMap:
             return None
         sigma = np.hypot(offset, max(noise.compass_sigma, 1e-3) / np.sqrt(weight.sum()))
         return centre, float(np.hypot(sigma, noise.heading_sigma / np.sqrt(len(angles))))
+
+
+def _to_nearest(points: Array, k: int) -> Array:
+    """Distance [m] of each point (n, 2) to its k-th nearest other one (n,)."""
+    if len(points) > FEW:
+        return np.asarray(cKDTree(points).query(points, k=[k + 1])[0])[:, 0]
+    apart = points[:, None] - points
+    return np.asarray(np.sqrt(np.partition((apart**2).sum(axis=2), k, axis=1)[:, k]))
 
 
 def _moved(landmark: Landmark, x: float, y: float, turn: float) -> Landmark:

@@ -271,8 +271,8 @@ def all_left_out(solution: Solution, matches: Sequence[Correspondence]) -> Array
     ``r' (R - S)^-1 r``: the residual of a tight measurement says little by itself, since it pulls the optimum along.
     """
     a, b = [m.a for m in matches], [m.b for m in matches]
-    cross = solution.covariances(a, b)
-    moved = solution.covariances(a) + solution.covariances(b) - cross - np.swapaxes(cross, 1, 2)
+    of_a, of_b, cross = solution.covariances([*a, *b, *a], [*a, *b, *b]).reshape(3, len(a), 3, 3)
+    moved = of_a + of_b - cross - np.swapaxes(cross, 1, 2)
     poses_a, poses_b = (np.array([solution.poses[u] for u in side]).reshape(-1, 3) for side in (a, b))
     r = poses_b - poses_a
     r[:, 2] = se2.wrap(r[:, 2] - [m.measured[2] for m in matches])
