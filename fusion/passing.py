@@ -81,7 +81,7 @@ def passing_at(
         by2 = np.where(background.points2, background.area1.contains(p2), by2)
         area_overlap = background.area1.area(moved)
     by1[matched[0]], by2[matched[1]] = False, False
-    missed1, missed2 = np.flatnonzero(by1), np.flatnonzero(by2)
+    missed1, missed2 = by1.nonzero()[0], by2.nonzero()[0]
     return Passing(missed1, missed2, blocked, through1, through2, clash1, clash2, crossed, overlap, area_overlap)
 
 

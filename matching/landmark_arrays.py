@@ -440,13 +440,13 @@ def _patterns(arrays: LandmarkArrays) -> ArmPatterns:
     sorted_by = np.lexsort((arrays.xy[members, 1], arrays.xy[members, 0], own, pattern))
     start = np.searchsorted(pattern[sorted_by], np.arange(n + 1)).astype(np.int32)
     first = sorted_by[start[:-1]]
-    arms = np.full((n, relative.shape[1]), np.nan)
-    for k in range(relative.shape[1]):
-        shift = se2.wrap(relative[:, k] - relative[first[pattern], k]) if n else relative[:, k]
-        known = ~np.isnan(shift)
-        total = np.bincount(pattern[known], shift[known], n)
-        count = np.bincount(pattern[known], minlength=n)
-        arms[:, k] = np.where(count > 0, relative[first, k] + total / np.maximum(count, 1), np.nan)
+    shift = se2.wrap(relative - relative[first[pattern]])
+    known, arm = ~np.isnan(shift), np.arange(relative.shape[1])
+    place = (pattern[:, None] * len(arm) + arm)[known]
+    shape = (n, len(arm))
+    total = np.bincount(place, shift[known], n * len(arm)).reshape(shape)
+    count = np.bincount(place, minlength=n * len(arm)).reshape(shape)
+    arms = np.where(count > 0, relative[first] + total / np.maximum(count, 1), np.nan)
     of_landmark = np.full(len(arrays), -1, dtype=np.int32)
     of_landmark[members] = pattern
     return ArmPatterns(
