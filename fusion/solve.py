@@ -172,7 +172,7 @@ def _gauss_newton(graph: Any, values: Any, order: Any) -> tuple[Any, int, float 
         whole = step.vector()
         proposed, past = _length(whole, past, length), whole
         for share in (proposed, 1.0, 0.5):
-            length, further = share, values.retract(step.scale(share))
+            length, further = share, values.retract(step if share == 1.0 else step.scale(share))
             after = graph.error(further)
             if after <= error + (LEVEL if share == 1.0 else 0.0):
                 break
