@@ -69,10 +69,13 @@ class ArmSignature:
         if not self.headings:
             return None
         reference = self.headings[_reference_arm(self.passable, self.headings)]
-        off = [h - reference for h in self.headings]
-        left = [angle - QUARTER * round(angle / QUARTER) for angle in off]
-        weights = [max(0.0, cos(4 * angle)) for angle in left]
-        return wrap(reference + sum(w * r for w, r in zip(weights, left, strict=True)) / sum(weights))
+        total = counted = 0.0
+        for heading in self.headings:
+            off = heading - reference
+            left = off - QUARTER * round(off / QUARTER)
+            weight = max(0.0, cos(4 * left))
+            total, counted = total + weight * left, counted + weight
+        return wrap(reference + total / counted)
 
 
 def _reference_arm(passable: tuple[bool, ...], headings: tuple[float, ...]) -> int:

@@ -278,6 +278,8 @@ def _links(records: Any, own: Any, ids: Mapping[str, int], place: Place, faults:
 
 def _check_heading(landmark: Landmark, place: Place, faults: Faults) -> None:
     """Where a landmark has arms they are its heading: one beside them agrees, and a 3x3 covariance needs either."""
+    if landmark.heading is None and landmark.covariance is None:
+        return
     arms = [link.heading for link in landmark.links if link.heading is not None]
     if landmark.heading is not None and arms:
         together = heading_of(landmark)
@@ -357,13 +359,20 @@ def _record(value: Any, names: Collection[str], always: Collection[str] = ()) ->
     record = {}
     for name in names:
         item, default = getattr(value, name), defaults[name]
-        if name in always or not (item is default or (type(item) is type(default) and item == default)):
+        is_default = item is default or (type(item) is type(default) and item == default)
+        if not is_default or name in always:
             record[name] = _plain(item)
     return record
 
 
+#: What most values are: looking for what else they might be takes longer than all the rest.
+_PLAIN = frozenset({str, float, int, bool, type(None)})
+
+
 def _plain(item: Any) -> Any:
     """A value as JSON knows it; arrays of two dimensions stay, their rules know them."""
+    if type(item) in _PLAIN:
+        return item
     if isinstance(item, np.generic):
         return item.item()
     if isinstance(item, tuple):
@@ -375,5 +384,7 @@ def _plain(item: Any) -> Any:
 
 def _extra(value: Any, known: Collection[str], place: Place, faults: Faults) -> dict[str, Any]:
     extra = value.extra
+    if not extra:
+        return {}
     faults += [(place, f"extra holds {said(key)}, a field of its own") for key in extra if key in known]
     return {key: item for key, item in extra.items() if key not in known}

@@ -6,6 +6,7 @@ Metres, radians, right-handed frames, angles in (-pi, pi] counter-clockwise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -102,7 +103,7 @@ class Noise:
     def distance_sigma(self, distance: float, travels: int = 1) -> float:
         """Standard deviation [m] of a distance [m] travelled ``travels`` times."""
         sigma = self.distance_sigma_floor + self.distance_sigma_per_metre * distance
-        return float(sigma / np.sqrt(max(1, travels)))
+        return sigma / math.sqrt(max(1, travels))
 
     def detection(self, type_: str) -> float:
         """Probability that a passed landmark of this type is in the map."""

@@ -29,10 +29,13 @@ def wrap(angle: ArrayLike) -> Array:
     True
     """
     angle = np.asarray(angle, dtype=float)
+    inside = (angle > -np.pi) & (angle <= np.pi)
+    if inside.all():
+        return angle.copy()[()]
     turned = np.pi - np.mod(np.pi - angle, 2 * np.pi)
     # an angle in range keeps every bit, and one just above pi must not round to -pi, which is out of range
     turned = np.where(turned <= -np.pi, np.pi, turned)
-    return np.where((angle > -np.pi) & (angle <= np.pi), angle, turned)[()]
+    return np.where(inside, angle, turned)[()]
 
 
 def rotation(theta: ArrayLike) -> Array:
@@ -50,7 +53,10 @@ def transform(T: ArrayLike, points: ArrayLike) -> Array:
     T, points = np.asarray(T, dtype=float), np.asarray(points, dtype=float)
     c, s = np.cos(T[..., 2]), np.sin(T[..., 2])
     x, y = points[..., 0], points[..., 1]
-    return np.stack([T[..., 0] + c * x - s * y, T[..., 1] + s * x + c * y], axis=-1)
+    there = T[..., 0] + c * x - s * y
+    moved = np.empty((*there.shape, 2))
+    moved[..., 0], moved[..., 1] = there, T[..., 1] + s * x + c * y
+    return moved
 
 
 def compose(T_ab: ArrayLike, T_bc: ArrayLike) -> Array:

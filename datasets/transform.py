@@ -47,7 +47,7 @@ class Transform:
     @classmethod
     def from_array(cls, pose: ArrayLike, covariance: ArrayLike | None = None) -> Transform:
         """From a pose array (3,) and, if known, its covariance (3, 3)."""
-        x, y, theta = (float(value) for value in np.asarray(pose, dtype=float))
+        x, y, theta = np.asarray(pose, dtype=float).tolist()
         return cls(x, y, theta, None if covariance is None else np.asarray(covariance, dtype=float))
 
     @property

@@ -102,12 +102,12 @@ def nearest_to_start(recorded: LandmarkMap, ids: Iterable[str]) -> Landmark:
     ids = tuple(ids)
     if len(ids) == 1:
         return recorded[ids[0]]
-    x, y, theta = recorded.start
+    x, y, theta = recorded.start.tolist()
 
     def rank(landmark: Landmark) -> tuple[float, int, int, float, str]:
         dx, dy = landmark.x - x, landmark.y - y
-        bearing = float(np.mod(np.arctan2(dy, dx) - theta + 1e-6, 2 * np.pi))
-        distance = round(float(np.hypot(dx, dy)), 6)
+        bearing = (math.atan2(dy, dx) - theta + 1e-6) % (2 * math.pi)
+        distance = round(math.hypot(dx, dy), 6)
         return distance, -landmark.visit_counter, -len(landmark.links), round(bearing, 6), landmark.id
 
     return min((recorded[name] for name in ids), key=rank)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapfuse.datasets import errors, se2
+from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.maps import Landmark, LandmarkMap
 from mapfuse.datasets.transform import Transform
 
@@ -24,14 +25,16 @@ from .compass import CompassReading, compass_readings, north_measurements
 from .correspondence import Correspondence, correspondence
 from .frame import Gauge, TransformPrior, centre_of, frame_anchors, pose_triple
 from .heading import heading_measurements, headings_of
-from .joint import joint_measurement
+from .joint import JointMeasurement, joint_measurement
 from .keys import ByIdentity, FrameKey, KeyBook, LandmarkKey, Unknown, map_keys
-from .link import link_measurements
-from .measurement import Measurement, Poses
+from .link import RangeMeasurement, link_measurements
+from .measurement import Between, Measurement, Poses
 from .noise import DOUBT, Loss, floored_eigen
 
 Array = NDArray[np.float64]
 Match = tuple[LandmarkKey, LandmarkKey]
+#: What one map says of its own landmarks and frame.
+MapMeasurement = Between | RangeMeasurement | JointMeasurement
 Kind = TypeVar("Kind")
 
 
@@ -193,7 +196,8 @@ class _MapTerms:
     """What a map measures, and the GTSAM factor of each measurement by its identity: these live as long as this."""
 
     def __init__(self, recorded: LandmarkMap, r: int) -> None:
-        self.measurements = _measured(recorded, r)
+        # all but the names of the unknowns is the same whatever the map's place
+        self.measurements = _placed(recorded, r) if r else _measured(recorded, 0)
         self._maps = r * [LandmarkMap("")] + [recorded]
 
     @cached_property
@@ -211,7 +215,22 @@ def _kept_terms(cached: ByIdentity, r: int) -> _MapTerms:
     return _MapTerms(cached.recorded, r)
 
 
-def _measured(recorded: LandmarkMap, r: int) -> tuple[Measurement, ...]:
+def _placed(recorded: LandmarkMap, r: int) -> tuple[MapMeasurement, ...]:
+    """What the map measures as the first one of a problem, of its unknowns as map ``r``."""
+    here, there = map_keys(recorded, 0), map_keys(recorded, r)
+    of: dict[Unknown, Any] = {here.frame: there.frame}
+    of |= zip(here.landmarks.values(), there.landmarks.values(), strict=True)
+    if here.compass is not None:
+        of[here.compass] = there.compass
+    return tuple(
+        replace(m, frame=of[m.frame], landmarks=tuple(of[key] for key in m.landmarks))
+        if isinstance(m, JointMeasurement)
+        else replace(m, a=of[m.a], b=of[m.b])
+        for m in _map_terms(recorded, 0).measurements
+    )
+
+
+def _measured(recorded: LandmarkMap, r: int) -> tuple[MapMeasurement, ...]:
     _check_map(recorded)
     joint = joint_measurement(recorded, r)
     placed = frozenset(recorded.joint_covariance.order if recorded.joint_covariance else ())
@@ -322,7 +341,7 @@ def _correspondences(
                 raise errors.MapfuseError(reason)
         if a.map == b.map:
             raise errors.MapfuseError(f"a correspondence joins {a.id!r} and {b.id!r} of one map")
-        rotation = float(se2.wrap(initial[FrameKey(b.map)][2] - initial[FrameKey(a.map)][2]))
+        rotation = wrap(float(initial[FrameKey(b.map)][2] - initial[FrameKey(a.map)][2]))
         found.append(correspondence(maps[a.map], a, maps[b.map], b, rotation, loss, robots[a]))
     return found
 

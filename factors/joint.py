@@ -66,6 +66,11 @@ class JointMeasurement:
         return self.frame, *self.landmarks
 
     @property
+    def rows(self) -> int:
+        """How many numbers its residual has."""
+        return len(self.places)
+
+    @property
     def readings(self) -> float:
         """How many independent numbers it stands for."""
         return float(len(self.places))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import atan2, cos, hypot, pi, sin, sqrt
-from typing import Any
+from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
@@ -62,6 +62,8 @@ class RangeMeasurement:
     distance: float
     sigma: float
     readings: float = 1.0
+
+    rows: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.distance) and self.distance >= 0 and np.isfinite(self.sigma) and self.sigma > 0):

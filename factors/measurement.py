@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import gtsam
 import numpy as np
@@ -32,6 +32,11 @@ class Measurement(Protocol):
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
         """What it measures, in the order of the factor's keys."""
+        ...
+
+    @property
+    def rows(self) -> int:
+        """How many numbers its residual has."""
         ...
 
     @property
@@ -76,6 +81,8 @@ class Between:
     noise: PoseNoise
     loss: Loss | None = None
 
+    rows: ClassVar[int] = 3
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "measured", checked_pose(self.measured, self, self.a, self.b))
 
@@ -111,6 +118,8 @@ class Prior:
     of: Unknown
     measured: Triple
     noise: PoseNoise
+
+    rows: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "measured", checked_pose(self.measured, self, self.of))

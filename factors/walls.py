@@ -191,6 +191,11 @@ class WallMeasurement:
         return self.side1.frame, self.side2.frame, *self.side1.landmarks, *self.side2.landmarks
 
     @property
+    def rows(self) -> int:
+        """How many numbers its residual has."""
+        return len(self.facing)
+
+    @property
     def log_normaliser(self) -> float:
         """Log of its density's factor [nats]."""
         return float(np.linalg.slogdet(self.sqrt_information)[1]) - len(self.facing) / 2 * float(np.log(2 * np.pi))

@@ -56,7 +56,13 @@ class Limits(NamedTuple):
 
 @kernel
 def wrap(angle):
-    """An angle in (-pi, pi] [rad]."""
+    """An angle in (-pi, pi] [rad]; no division for one that is off by less than two turns, as most are."""
+    if angle > np.pi:
+        angle -= TWO_PI
+    elif angle <= -np.pi:
+        angle += TWO_PI
+    if -np.pi < angle <= np.pi:
+        return angle
     return -((np.pi - angle) % TWO_PI - np.pi)
 
 
@@ -249,14 +255,14 @@ def bent(A, B, T0, T12, i, j, weights):
 
 @kernel
 def at_rest(A, B, T0, i, j, prior_sigma):
-    """All that is asked of two maps joined at pairs: their arms laid on each other (`overlays`), covariance and all of
-    `joined`, T12's posterior covariance, and where the landmarks of both maps then are (`bent`)."""
+    """What is asked of two maps joined at pairs: their arms laid on each other (`overlays`), covariance and residuals,
+    T12's posterior mean and covariance, and where the landmarks of both maps then are (`bent`)."""
     same, other, shift, variance = overlays(A, i, B, j, T0[2])
     C = covariance(A, B, T0, i, j, variance, prior_sigma)
     r, inverse, weights, T12 = solved(B, T0, j, residuals(A, B, T0, i, j, shift), C, prior_sigma)
     p1, p2 = bent(A, B, T0, T12, i, j, weights)
     known = T12_covariance(B, T0, j, inverse, prior_sigma)
-    return same, other, shift, variance, C, r, inverse, weights, T12, known, p1, p2
+    return same, other, shift, variance, C, r, T12, known, p1, p2
 
 
 @kernel
@@ -275,8 +281,14 @@ def T12_covariance(B, T0, j, inverse, prior_sigma):
 @kernel
 def predicted(A, B, T0, i, j, inverse, weights, at_i, at_j, prior_sigma):
     """Innovation (m, 3) and covariance (m, 3, 3) of further pairs (at_i, at_j), given the pairs (i, j)."""
-    m, k = len(at_i), len(i)
     _, _, shift, variance = overlays(A, at_i, B, at_j, T0[2])
+    return foretold(A, B, T0, i, j, inverse, weights, at_i, at_j, shift, variance, prior_sigma)
+
+
+@kernel
+def foretold(A, B, T0, i, j, inverse, weights, at_i, at_j, shift, variance, prior_sigma):
+    """`predicted`, given the shift and variance (m,) of the further pairs' `overlays`."""
+    m, k = len(at_i), len(i)
     innovation = residuals(A, B, T0, at_i, at_j, shift).reshape(m, 3)
     V = np.empty((m, 3, 3))
     block = np.empty((3, 3))
@@ -479,14 +491,16 @@ def associated(A, B, T0, partner, may, reach, limits):
     _, inverse, weights, T12 = joined(A, B, T0, old_i, old_j, limits.prior_sigma)
     p1, p2 = bent(A, B, T0, T12, old_i, old_j, weights)
     i, j = near_pairs(p1, p2, may, partner, reach)
-    innovation, V = predicted(A, B, T0, old_i, old_j, inverse, weights, i, j, limits.prior_sigma)
+    _, other, shift, variance = overlays(A, i, B, j, T0[2])
+    innovation, V = foretold(A, B, T0, old_i, old_j, inverse, weights, i, j, shift, variance, limits.prior_sigma)
     judged = len(old_i) > 2
     if judged:
         own_innovation, own_V = left_out(inverse, weights)
+        _, own_other, _, own_variance = overlays(A, old_i, B, old_j, T0[2])
         i, j = np.concatenate((old_i, i)), np.concatenate((old_j, j))
         innovation, V = np.concatenate((own_innovation, innovation)), np.concatenate((own_V, V))
+        other, variance = np.concatenate((own_other, other)), np.concatenate((own_variance, variance))
     density, d2 = densities(innovation, V)
-    _, other, _, variance = overlays(A, i, B, j, T0[2])
     gain = np.empty(len(i))
     passes = np.zeros(len(i), np.bool_)
     taken = np.zeros(len(p2), np.bool_)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,6 @@ from .pairwise import Comparison
 from .placing import Pair
 from .prepared import PreparedMap
 from .result import Decision, Frame, FusedLandmark, FusedMap, NoiseFit, PairResult
-from .solve import Solution
 
 Array = NDArray[np.float64]
 
@@ -59,10 +58,11 @@ def assembled(
         if joint is None:
             groups.append(_alone(prepared[listed[0]], len(groups), before))
             frames[listed[0]] = Frame(len(groups) - 1, AT_HOME)
-            noise |= _noise(listed, prepared[listed[0]].solution, scales)
+            noise[listed[0]] = replace(prepared[listed[0]].noise_fit, used=scales[listed[0]])
             continue
         joint = referred_to(joint, members.index(listed[0]), config)
-        noise |= _noise(members, joint.solution, scales)
+        fits = noise_fits(joint.solution, [scales[name] for name in members])
+        noise |= dict(zip(members, fits, strict=True))
         group = Members(members, joint, comparisons, choice, emptiness)
         groups.append(_merged(group, listed, len(groups), before))
         for name in listed:
@@ -78,13 +78,6 @@ def assembled(
     noise = {name: noise[name] for name in prepared}
     maps = [m.map for m in prepared.values()]
     return _result(maps, decision, probability, results, groups, frames, noise, provenance)
-
-
-def _noise(names: Sequence[str], solution: Solution | None, scales: Mapping[str, float]) -> dict[str, NoiseFit]:
-    """How the maps of a solution fit the noise that they state; an empty map has none."""
-    if solution is None:
-        return {name: NoiseFit(0.0, 0.0) for name in names}
-    return dict(zip(names, noise_fits(solution, [scales[name] for name in names]), strict=True))
 
 
 def _overall(pairs: Sequence[PairResult], choice: Choice) -> tuple[Decision, float]:
@@ -136,9 +129,8 @@ def _alone(m: PreparedMap, group: int, before: int) -> _Group:
     order = sorted(range(len(m)), key=lambda k: m.map.ids[k])
     places = [Place(((0, k),), existence([(m, k)], [], 1.0)) for k in order]
     names = [f"m{before + k + 1}" for k in range(len(order))]
-    poses = np.column_stack([m.positions, np.nan_to_num(m.headings)])
     block = {(0, k): k for k in range(len(m))}
-    landmarks, joint = merged_landmarks([m.map], places, [poses], block, m.covariance, group, names)
+    landmarks, joint = merged_landmarks([m.map], places, [m.poses], block, m.covariance, group, names)
     return _Group((m.map.name,), landmarks, joint)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -32,10 +33,12 @@ class Background:
     """How common landmarks are along the corridors (point landmarks: per area), from both maps together.
 
     A rate counts landmarks that are really there: those recorded, less the false ones, divided by the detection rate.
+    ``repeated``: what was found of the building lying on itself (`mapfuse.fusion.repetition.repeats`).
     """
 
     m1: PreparedMap
     m2: PreparedMap
+    repeated: dict[Hashable, Array] = field(default_factory=dict, repr=False)
     _regularity: dict[float, Regularity] = field(default_factory=dict, repr=False)
 
     @cached_property

@@ -6,6 +6,8 @@ plane (docs/evidence.md, "Why one dimension along corridors").
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,7 +63,7 @@ def corridor_prior(background: Background, overlap: float) -> float:
     A random stretch of corridor 1 lies on a random stretch of corridor 2, in one of two directions.
     """
     lengths = [max(m.corridor_length, 1.0) for m in (background.m1, background.m2)]
-    return float(np.log(max(overlap, 1.0) / (2 * lengths[0] * lengths[1])))
+    return math.log(max(overlap, 1.0) / (2 * lengths[0] * lengths[1]))
 
 
 def point_prior(background: Background) -> float:

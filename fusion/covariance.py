@@ -49,7 +49,8 @@ class Linearised:
     """A graph at some poses: its whitened Jacobian as triplets, poses in the order of their keys, 3 columns each.
 
     ``free`` (u,): which poses may move; the others are given. ``thetas`` (u,) [rad]: of the poses. ``order`` (u,): in
-    which order elimination keeps the factor sparse.
+    which order elimination keeps the factor sparse. ``residuals``: whitened, of the rows; of few poses
+    ``information`` (3u, 3u): J'J, by body tangents, where it is at hand.
     """
 
     rows: Index
@@ -58,6 +59,8 @@ class Linearised:
     free: NDArray[np.bool_]
     thetas: Array
     order: Index
+    residuals: Array | None = None
+    information: Array | None = None
 
     @classmethod
     def of(cls, linear: Any, ordering: Any, keys: Sequence[int], free: NDArray[np.bool_], thetas: Array) -> Linearised:
@@ -65,16 +68,20 @@ class Linearised:
 
         ``ordering``: a ``gtsam.Ordering`` to eliminate in.
         """
-        rows, columns, values = _triplets(linear, 3 * len(keys))
+        rows, columns, values, residuals = _triplets(linear, 3 * len(keys))
         place = {key: k for k, key in enumerate(keys)}
         order = np.array([place[ordering.at(k)] for k in range(ordering.size())], dtype=np.intp)
-        return cls(rows, columns, values, free, thetas, order)
+        H = linear.hessian()[0] if len(keys) <= DENSE_UNKNOWNS else None
+        return cls(rows, columns, values, free, thetas, order, residuals, H)
 
     def dense(self) -> Array:
         """Information (3f, 3f) of the free poses by errors in the axes of the frame."""
         size = 3 * len(self.free)
-        J = csr_array((self.values, (self.rows, self.columns)), shape=(int(self.rows.max(initial=-1)) + 1, size))
-        H: Array = (J.T @ J).toarray()
+        if self.information is None:
+            J = csr_array((self.values, (self.rows, self.columns)), shape=(int(self.rows.max(initial=-1)) + 1, size))
+            H: Array = (J.T @ J).toarray()
+        else:
+            H = self.information.copy()
         c, s = np.cos(self.thetas), np.sin(self.thetas)
         for side in (H.T, H):  # a view each: columns, then rows
             x, y = side[:, 0::3].copy(), side[:, 1::3].copy()
@@ -98,17 +105,20 @@ class Linearised:
 
 def information(linear: Any, size: int) -> Array:
     """Information matrix J'J (size, size) of a ``gtsam.GaussianFactorGraph``, unknowns sorted by key, body tangents."""
-    rows, columns, values = _triplets(linear, size)
+    rows, columns, values, _ = _triplets(linear, size)
     J = csr_array((values, (rows, columns)), shape=(int(rows.max(initial=-1)) + 1, size))
     dense: Array = (J.T @ J).toarray()
     return dense
 
 
-def _triplets(linear: Any, size: int) -> tuple[Index, Index, Array]:
+def _triplets(linear: Any, size: int) -> tuple[Index, Index, Array, Array]:
+    """Rows, columns and values of the whitened Jacobian, and the residual of each row."""
     rows, columns, values = np.asarray(linear.sparseJacobian_())
     rows, columns = rows.astype(np.intp) - 1, columns.astype(np.intp) - 1
     kept = columns < size  # the last column is the right-hand side
-    return rows[kept], columns[kept], values[kept]
+    residuals = np.zeros(int(rows.max(initial=-1)) + 1)
+    residuals[rows[~kept]] = -values[~kept]
+    return rows[kept], columns[kept], values[kept], residuals
 
 
 class Marginals:

@@ -101,12 +101,19 @@ class Joined:
     def _sides(self) -> tuple[Any, Any]:
         return side(self.m1), side(self.m2)
 
-    @cached_property
+    @property
     def _at_rest(self) -> tuple[Any, ...]:
-        """All there is to know, in one compiled call."""
-        if self.known is not None:
-            return self.known
+        """What is asked most, in one compiled call."""
+        return self._worked_out if self.known is None else self.known
+
+    @cached_property
+    def _worked_out(self) -> tuple[Any, ...]:
         found: tuple[Any, ...] = growth_kernels().at_rest(*self._sides, self.T0, self.i, self.j, PRIOR_SIGMA)
+        return found
+
+    @cached_property
+    def _solved(self) -> tuple[Any, ...]:
+        found: tuple[Any, ...] = growth_kernels().joined(*self._sides, self.T0, self.i, self.j, PRIOR_SIGMA)
         return found
 
     @cached_property
@@ -135,26 +142,26 @@ class Joined:
     @property
     def inverse_factor(self) -> Array:
         """Inverse of the Cholesky factor of `covariance` (3k, 3k), lower triangular."""
-        return np.asarray(self._at_rest[6])
+        return np.asarray(self._solved[1])
 
     @property
     def weights(self) -> Array:
         """C^-1 r (3k,)."""
-        return np.asarray(self._at_rest[7])
+        return np.asarray(self._solved[2])
 
     @property
     def T12(self) -> Array:
         """Posterior mean of T12 (3,)."""
-        return np.asarray(self._at_rest[8])
+        return np.asarray(self._at_rest[6])
 
     @property
     def T12_covariance(self) -> Array:
         """Posterior covariance of T12 (3, 3)."""
-        return np.asarray(self._at_rest[9])
+        return np.asarray(self._at_rest[7])
 
     def corrected(self) -> tuple[Array, Array]:
         """Posterior positions of both maps' landmarks in frame 1, (n1, 2) and (n2, 2): each map bent onto the other."""
-        return self._at_rest[10], self._at_rest[11]
+        return self._at_rest[8], self._at_rest[9]
 
     def predict(self, i: Index, j: Index) -> tuple[Array, Array]:
         """Innovation (k, 3) and its covariance (k, 3, 3) of further pairs, given the pairs so far."""

@@ -26,7 +26,7 @@ FAR_M = 10_000.0
 
 def middle(recorded: LandmarkMap) -> Array:
     """Where a far map's landmarks are (2,) [m, whole metres]; zero for a map that isn't far."""
-    if not len(recorded):
+    if not len(recorded) or np.hypot(*np.abs(recorded.positions).max(axis=0)) <= FAR_M:  # no median is further away
         return np.zeros(2)
     at = np.round(np.median(recorded.positions, axis=0))
     return at if np.hypot(*at) > FAR_M else np.zeros(2)

@@ -6,6 +6,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import cache
 from importlib.metadata import version
 from itertools import combinations
 from typing import Any
@@ -119,7 +120,7 @@ def check_maps(maps: Sequence[LandmarkMap]) -> tuple[dict[str, Any], ...]:
 
 def strays(m: LandmarkMap) -> tuple[Problem, ...]:
     """Landmarks so far from all others that nothing can be computed with them."""
-    if not len(m):
+    if not len(m) or np.ptp(m.positions, axis=0).max() <= LARGEST_MAP_M:
         return ()
     off = np.abs(m.positions - np.median(m.positions, axis=0)).max(axis=1)
     reason = f"lies more than {LARGEST_MAP_M / 1000:g} km from the middle of the map"
@@ -140,7 +141,13 @@ def provenance_of(
     inputs = {m.name: hashlib.sha256(encode(document)).hexdigest() for m, document in zip(maps, documents, strict=True)}
     stated = [{"maps": list(k.maps), "T12": k.T12.array.tolist(), "covariance": _rows(k)} for k in known]
     told = {"known": stated} if stated else {}
-    return {"mapfuse": version("mapfuse"), "inputs": inputs, "config": asdict(config), **told}
+    return {"mapfuse": _version(), "inputs": inputs, "config": asdict(config), **told}
+
+
+@cache
+def _version() -> str:
+    """Of this package; reading its metadata takes a millisecond each time."""
+    return version("mapfuse")
 
 
 def _rows(known: KnownTransform) -> list[list[float]]:

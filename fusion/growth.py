@@ -7,15 +7,12 @@ disagree by metres through drift still match as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from mapfuse.datasets import se2
 
 from .config import SolvingConfig, chi2_gate
 from .elastic import NO_HEADING_SIGMA, PRIOR_SIGMA, Joined, growth_kernels, side
@@ -46,25 +43,15 @@ class Growth:
         """Matched landmarks of map 2 (k,)."""
         return self.joined.j
 
-    @property
-    def partner(self) -> Index:
-        """Of each landmark of map 1 its partner in map 2, or -1; (n1,)."""
-        return _partners(len(self.joined.m1), self.i, self.j)
-
     @cached_property
     def pairs(self) -> frozenset[tuple[int, int]]:
         """The matches as (place in map 1, place in map 2)."""
         return frozenset(zip(self.i.tolist(), self.j.tolist(), strict=True))
 
-    @cached_property
-    def placed2(self) -> Array:
-        """All of map 2's landmarks where T12 takes them (n2, 2) [m, frame 1]."""
-        return np.asarray(se2.transform(self.joined.T12, self.joined.m2.positions))
-
     @property
     def places_map2(self) -> bool:
         """Whether the matches determine T12: a single one does so only by its heading."""
-        return len(self.i) > 1 or bool(self.joined.arms.variance.min() < NO_HEADING_SIGMA**2)
+        return len(self.i) > 1 or bool(self.joined.arms.variance[0] < NO_HEADING_SIGMA**2)
 
 
 def compatible(m1: PreparedMap, m2: PreparedMap, known: Pairs = ()) -> NDArray[np.bool_]:
@@ -95,34 +82,24 @@ def grow(
     ``known``: pairs that are matches whatever their residuals say.
     """
     may = compatible(m1, m2) if may_match is None else may_match
+    start, fixed = (_partners(len(m1), pairs) for pairs in (seed, known))
+    limits = _limits(config.match_odds, config.gate_probability, config.max_rounds)
     i, j, T0, rounds, at_rest = growth_kernels().grown(
-        side(m1),
-        side(m2),
-        np.asarray(T12, dtype=float),
-        _partners(len(m1), *_columns(seed)),
-        may,
-        _partners(len(m1), *_columns(known)),
-        _limits(config),
+        side(m1), side(m2), np.asarray(T12, dtype=float), start, may, fixed, limits
     )
     return Growth(Joined(m1, m2, T0, i, j, at_rest), rounds)
 
 
-def _partners(n1: int, i: Sequence[int] | Index, j: Sequence[int] | Index) -> Index:
-    """Of each of n1 landmarks of map 1 its partner in map 2, or -1; (n1,). The pairs are (i, j)."""
+def _partners(n1: int, pairs: Pairs) -> Index:
+    """Of each of n1 landmarks of map 1 its partner in map 2, or -1; (n1,)."""
     partner = np.full(n1, -1, dtype=np.intp)
-    partner[i] = j
+    for i, j in pairs:
+        partner[i] = j
     return partner
 
 
-def _columns(pairs: Pairs) -> tuple[list[int], list[int]]:
-    """Pairs as the places in map 1 and those in map 2."""
-    return [i for i, _ in pairs], [j for _, j in pairs]
-
-
 @cache
-def _limits(config: SolvingConfig) -> Any:
+def _limits(match_odds: float, gate_probability: float, max_rounds: int) -> Any:
     """What a match must pass (`_growth_kernels.Limits`)."""
-    gate2, gate3 = (float(chi2_gate(config.gate_probability, dof)) for dof in (2, 3))
-    return growth_kernels().Limits(
-        float(config.match_odds), gate2, gate3, CONTRADICTION, config.max_rounds, PRIOR_SIGMA
-    )
+    gate2, gate3 = (float(chi2_gate(gate_probability, dof)) for dof in (2, 3))
+    return growth_kernels().Limits(float(match_odds), gate2, gate3, CONTRADICTION, max_rounds, PRIOR_SIGMA)

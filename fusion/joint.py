@@ -67,7 +67,7 @@ def solve_group(
     then.
     """
     maps, shared = tuple(maps), tuple(shared)
-    poses = [np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in maps]
+    poses = [m.poses for m in maps]
     scale = _noise_scale(maps)
     solution = solve(_problem(maps, frames, shared, poses, DOUBT), config, scale)
     for _ in range(MAX_REGROUPINGS):

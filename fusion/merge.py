@@ -64,9 +64,9 @@ def _nearest_first(link: Link) -> tuple[bool, float, str]:
 
 def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
     """All arms of one place, those that meet joined; at most four, ways that lead somewhere first."""
-    joined: list[Link] = []
-    counts: list[int] = []
-    for links in sources:
+    joined = list(sources[0])
+    counts = [1] * len(joined)
+    for links in sources[1:]:
         taken: set[int] = set()
         for link in links:
             near = [
@@ -83,6 +83,8 @@ def _joined_links(sources: Sequence[Sequence[Link]]) -> tuple[Link, ...]:
                 joined.append(link)
                 counts.append(1)
                 taken.add(len(joined) - 1)
+    if len(joined) <= MAX_LINKS:
+        return tuple(joined)
     rank = sorted(range(len(joined)), key=lambda k: (joined[k].connected_to_id is None, not is_passable(joined[k])))
     return tuple(joined[k] for k in sorted(rank[:MAX_LINKS]))
 
@@ -146,14 +148,14 @@ def _landmark(
     members = sorted(place.members, key=lambda member: (maps[member[0]].name, maps[member[0]].ids[member[1]]))
     recorded = [maps[r].landmarks[k] for r, k in members]
     facing = [headings_of(maps[r])[maps[r].ids[k]] for r, k in members]
-    at = np.array([poses[r][k] for r, k in members])
+    at = [poses[r][k].tolist() for r, k in members]
     links = _joined_links(
         [
-            _links(landmark, float(pose[2]) - (own or 0.0), maps[r], r, name_of, name_of[(r, k)])
+            _links(landmark, pose[2] - (own or 0.0), maps[r], r, name_of, name_of[(r, k)])
             for landmark, own, pose, (r, k) in zip(recorded, facing, at, members, strict=True)
         ]
     )
-    x, y = at[:, :2].mean(axis=0)
+    x, y = (sum(pose[axis] for pose in at) / len(at) for axis in (0, 1))
     with_arms = heading_of(Landmark("", recorded[0].type, 0.0, 0.0, links=links))
     headings = [pose[2] for own, pose in zip(facing, at, strict=True) if own is not None]
     heading = with_arms
@@ -166,8 +168,8 @@ def _landmark(
         id=name_of[place.members[0]],
         group=group,
         type=recorded[0].type,
-        x=float(x),
-        y=float(y),
+        x=x,
+        y=y,
         heading=heading,
         covariance=covariance if heading is not None else covariance[:2, :2],
         sources=sources,

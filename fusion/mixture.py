@@ -88,7 +88,7 @@ class Placement:
         if self.solution is not None:
             keys = [key for r in (0, 1) for key in self.solution.landmark_keys(r)]
             return {key: self.solution.poses[key] for key in keys}
-        own = [np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in self.prepared]
+        own = [m.poses for m in self.prepared]
         laid = own[0], se2.compose(self.T12.array, own[1])
         return {LandmarkKey(r, name): laid[r][k] for r in (0, 1) for k, name in enumerate(self.prepared[r].map.ids)}
 
@@ -298,7 +298,7 @@ def _placement(
     if weight < NEGLIGIBLE or not matches:
         return Placement(weight, T12, prepared, _places(prepared, ()), None)
     maps = prepared[0].map, prepared[1].map
-    starts = [np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in prepared]
+    starts = [m.poses for m in prepared]
     scale = max(m.noise_scale for m in prepared)
     solution = solve(pair_problem(*maps, T12, matches, starts=(starts[0], starts[1])), config, scale)
     gone = {match.pair for match in solution.rejected}

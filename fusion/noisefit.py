@@ -42,34 +42,27 @@ def noise_fits(solution: Solution, used: Sequence[float] | None = None) -> tuple
 
     Of distances, headings, positions and joint covariances; compass readings, of which steel makes any, are left out.
     """
-    problem = solution.problem
-    graph = problem.graph()
-    linear = graph.linearize(problem.values(solution.poses))
-    rows, columns, values = np.asarray(linear.sparseJacobian_())
-    rows, columns = rows.astype(np.intp) - 1, columns.astype(np.intp) - 1
-    heights = [graph.at(k).dim() for k in range(graph.size())]
-    asked = [isinstance(m, _OF_ONE_MAP) for m in problem.measurements]
-    size = 3 * len(problem.keys.in_order)
-    residual = columns == size
-    squares = np.zeros(len(heights))
-    of_row = np.repeat(np.arange(len(heights)), heights)
-    np.add.at(squares, of_row[rows[residual]], values[residual] ** 2)
-    inside = ~residual & np.array(asked, dtype=bool)[of_row[rows]]
-    fitted = _fitted(solution, of_row, rows[inside], columns[inside], values[inside])
-    chi2, redundancy = np.zeros(len(problem.maps)), np.zeros(len(problem.maps))
-    terms = zip(problem.measurements, squares.tolist(), fitted.tolist(), strict=True)
-    for measurement, square, fit in terms:
-        if isinstance(measurement, _OF_ONE_MAP):
-            r = _map_of(measurement)
-            chi2[r] += square
-            redundancy[r] += measurement.readings - fit
+    problem, held = solution.problem, solution.linearised
+    assert held.residuals is not None
+    of_row = np.repeat(np.arange(len(problem.measurements)), [m.rows for m in problem.measurements])
+    # rows of zeros at the end of a graph leave no entry
+    squares = np.bincount(of_row[: len(held.residuals)], held.residuals**2, minlength=len(problem.measurements))
+    asked = np.array([isinstance(m, _OF_ONE_MAP) for m in problem.measurements], dtype=bool)
+    inside = asked[of_row[held.rows]]
+    fitted = _fitted(solution, of_row, held.rows[inside], held.columns[inside], held.values[inside])
+    of_one = [(_map_of(m), m.readings) for m in problem.measurements if isinstance(m, _OF_ONE_MAP)]
+    of_map = np.array([r for r, _ in of_one], dtype=np.intp)
+    left = np.array([n for _, n in of_one]) - fitted[asked]
+    chi2, redundancy = (np.bincount(of_map, x, minlength=len(problem.maps)) for x in (squares[asked], left))
     used = used or [1.0] * len(problem.maps)
     return tuple(NoiseFit(float(c), float(max(n, 0.0)), u) for c, n, u in zip(chi2, redundancy, used, strict=True))
 
 
 def _map_of(measurement: Measurement) -> int:
     """The map that a measurement is of."""
-    return next(unknown.map for unknown in measurement.unknowns if isinstance(unknown, LandmarkKey))
+    last = measurement.unknowns[-1]
+    assert isinstance(last, LandmarkKey)
+    return last.map
 
 
 def _fitted(solution: Solution, of_row: Index, rows: Index, columns: Index, values: Array) -> Array:
@@ -77,29 +70,28 @@ def _fitted(solution: Solution, of_row: Index, rows: Index, columns: Index, valu
 
     ``of_row``: the measurement of each row. Sigma is needed only between the unknowns that a measurement has.
     """
-    measurements, unknowns = solution.problem.measurements, solution.problem.keys.in_order
-    place = {unknown: k for k, unknown in enumerate(unknowns)}
-    rotations = pose_rotations(np.array([solution.poses[unknown][2] for unknown in unknowns]))
-    out = np.zeros(len(measurements))
-    asked = np.unique(of_row[rows])
-    two = np.array([k for k in asked if len(measurements[k].unknowns) == 2], dtype=np.intp)
-    ends = np.zeros((len(measurements), 2), dtype=np.intp)
-    ends[two] = np.array([[place[u] for u in measurements[k].unknowns] for k in two]).reshape(-1, 2)
-    on = np.isin(of_row[rows], two)
-    row, column, which = rows[on], columns[on], of_row[rows[on]]
+    n, which, unknown = len(solution.problem.measurements), of_row[rows], columns // 3
+    first, last = np.full(n, len(solution.poses)), np.zeros(n, dtype=np.intp)
+    np.minimum.at(first, which, unknown)
+    np.maximum.at(last, which, unknown)
+    first = np.minimum(first, last)  # of those that aren't asked any will do: their rows are zero
+    is_last = unknown == last[which]
+    wide = np.unique(which[~is_last & (unknown != first[which])])  # of more than two unknowns
+    of_two = np.where(np.isin(which, wide), 0.0, values) if len(wide) else values
     J = np.zeros((len(of_row), 2, 3))
-    J[row, (column // 3 == ends[which, 1]).astype(np.intp), column % 3] = values[on]
+    J[rows, is_last.astype(np.intp), columns % 3] = of_two
     # body tangents to axes, once for each row
-    J = np.einsum("rsb,rsab->rsa", J, rotations[ends[of_row]])
-    for one, other, times in ((0, 0, 1.0), (1, 1, 1.0), (0, 1, 2.0)):
-        S = np.zeros((len(measurements), 3, 3))
-        if len(two):
-            S[two] = solution.covariances(*([unknowns[k] for k in ends[two, end]] for end in (one, other)))
-        of_rows = np.einsum("ra,rab,rb->r", J[:, one], S[of_row], J[:, other])
-        out += times * np.bincount(of_row, of_rows, minlength=len(out))
-    for k in set(asked.tolist()) - set(two.tolist()):
-        out[k] = _fitted_jointly(solution, rotations, *(part[of_row[rows] == k] for part in (rows, columns, values)))
-    return out
+    rotations = pose_rotations(solution.linearised.thetas)
+    J = np.einsum("rsb,rsab->rsa", J, rotations[np.column_stack([first, last])[of_row]])
+    blocks = solution.marginals.blocks(np.concatenate([first, last, first]), np.concatenate([first, last, last]))
+    S = blocks.reshape(3, n, 3, 3)[:, of_row]
+    one, other = (J[:, ends].swapaxes(0, 1) for ends in ((0, 1, 0), (0, 1, 1)))
+    traces = np.array([1.0, 1.0, 2.0]) @ np.einsum("kra,krab,krb->kr", one, S, other)
+    fitted = np.asarray(np.bincount(of_row, traces, minlength=n), dtype=np.float64)
+    for k in wide.tolist():
+        own = which == k
+        fitted[k] = _fitted_jointly(solution, rotations, rows[own], columns[own], values[own])
+    return fitted
 
 
 def _fitted_jointly(solution: Solution, rotations: Array, rows: Index, columns: Index, values: Array) -> float:
@@ -109,7 +101,7 @@ def _fitted_jointly(solution: Solution, rotations: Array, rows: Index, columns: 
     J = np.zeros((int(row.max()) + 1, len(touched), 3))
     J[row, of_unknown, columns % 3] = values
     J = np.einsum("rsb,sab->rsa", J, rotations[touched]).reshape(len(J), -1)
-    S = solution.joint_covariance([solution.problem.keys.in_order[k] for k in touched])
+    S = solution.marginals.joint(touched)
     return float(np.einsum("ra,ra->", J @ S, J))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mapfuse.datasets import se2
 from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import pair_problem
@@ -116,22 +117,25 @@ def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
     if len(ordered) < 2:
         return ordered
     growths = [w.growth for w in ordered]
-    partner = np.array([g.partner for g in growths])
-    count = (partner >= 0).sum(axis=1)
+    joined = growths[0].joined
+    count = np.array([len(g.i) for g in growths])
+    partner = np.full((len(growths), len(joined.m1)), -1)
+    i, j = (np.concatenate(places) for places in zip(*((g.i, g.j) for g in growths), strict=True))
+    partner[np.repeat(np.arange(len(growths)), count), i] = j
     shared = ((partner[:, None] == partner) & (partner >= 0)).sum(axis=2)
     same = 2 * shared >= np.minimum(count[:, None], count)
     # the root mean square over n landmarks is no less than the distance of any one of them by the root of n
-    placed = np.array([g.placed2 for g in growths])
+    placed = se2.transform(np.array([g.joined.T12 for g in growths])[:, None], joined.m2.positions)
     first = np.array([g.j[0] for g in growths])
     off = placed[np.arange(len(first)), first][:, None] - placed[:, first].swapaxes(0, 1)
     near = (off**2).sum(axis=2) <= (count[:, None] + count) * tolerance_m**2
-    kept: list[int] = []
+    kept = np.zeros(len(growths), dtype=bool)
     for k, g in enumerate(growths):
-        if not any(same[k][kept]) and not any(
-            _on_one_place(g, growths[other], tolerance_m) for other in kept if near[k, other]
-        ):
-            kept.append(k)
-    return [ordered[k] for k in kept]
+        others = np.flatnonzero(near[k] & kept).tolist()
+        kept[k] = not (same[k] & kept).any() and not any(
+            _on_one_place(g, growths[other], tolerance_m) for other in others
+        )
+    return [w for w, keep in zip(ordered, kept.tolist(), strict=True) if keep]
 
 
 def _on_one_place(a: Growth, b: Growth, tolerance_m: float) -> bool:
@@ -145,8 +149,7 @@ def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Wei
     joined = w.growth.joined
     m1, m2 = joined.m1, joined.m2
     matches = [(m1.map.ids[i], m2.map.ids[j]) for i, j in zip(joined.i, joined.j, strict=True)]
-    starts = tuple(np.column_stack([m.positions, np.nan_to_num(m.headings)]) for m in (m1, m2))
-    problem = pair_problem(m1.map, m2.map, joined.T12, matches, starts=(starts[0], starts[1]))
+    problem = pair_problem(m1.map, m2.map, joined.T12, matches, starts=(m1.poses, m2.poses))
     solution = solve(problem, config.solving, max(m1.noise_scale, m2.noise_scale))
     if solution.rejected:
         gone = {tuple(key.id for key in match.pair) for match in solution.rejected}
@@ -164,10 +167,11 @@ def judged(weighed: list[Weighed], background: Background, config: FuseConfig, s
     """
     if not weighed:
         return decide(weighed, np.zeros((0, 2)), config.evidence, config.decision)
-    best = max(weighed, key=lambda w: w.log_odds)
+    odds = [w.log_odds for w in weighed]
+    best = weighed[odds.index(max(odds))]
     of_building = np.zeros((len(weighed), len(LACKING)))
     for k, w in enumerate(weighed):
-        if self_match and w is not best and w.log_odds > LEAST_RIVAL:
+        if self_match and w is not best and odds[k] > LEAST_RIVAL:
             of_building[k] = repeats(background, config, best.growth.joined.T12, w.growth.joined.T12)
     own = alias(np.array([w.lacking for w in weighed]), of_building) - [w.apart for w in weighed]
     at_best = alias(best.lacking, of_building) - best.apart

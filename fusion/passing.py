@@ -71,7 +71,7 @@ def passing_at(
     p1, p2 = (np.ascontiguousarray(p) for p in placed)
     kernels, turn = evidence_kernels(), float(T12[2])
     by1, by2, through1, through2, blocked, (clash1, clash2), overlap, crossed = kernels.passing(
-        *background.ways, turn, p1, p2, *matched, _limits(config)
+        *background.ways, turn, p1, p2, *matched, _limits(config.corridor_width_m, config.corridor_angle_deg)
     )
     area_overlap = 0.0
     if background.has_points:
@@ -81,16 +81,15 @@ def passing_at(
         by2 = np.where(background.points2, background.area1.contains(p2), by2)
         area_overlap = background.area1.area(moved)
     by1[matched[0]], by2[matched[1]] = False, False
-    missed1, missed2 = np.flatnonzero(by1), np.flatnonzero(by2)
+    missed1, missed2 = by1.nonzero()[0], by2.nonzero()[0]
     return Passing(missed1, missed2, blocked, through1, through2, clash1, clash2, crossed, overlap, area_overlap)
 
 
 @cache
-def _limits(config: EvidenceConfig) -> Any:
+def _limits(width_m: float, angle_deg: float) -> Any:
     """When a robot passed a landmark, and when corridors cross (`_evidence_kernels.Limits`)."""
-    width, angle = config.corridor_width_m, math.radians(config.corridor_angle_deg)
-    sine = math.sin(math.radians(CROSSING_DEG))
-    return evidence_kernels().Limits(float(width), angle, END_MARGIN_M, sine, CROSSING_CLEAR_M)
+    angle, sine = math.radians(angle_deg), math.sin(math.radians(CROSSING_DEG))
+    return evidence_kernels().Limits(float(width_m), angle, END_MARGIN_M, sine, CROSSING_CLEAR_M)
 
 
 def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float, float]:

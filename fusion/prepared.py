@@ -25,6 +25,7 @@ from mapfuse.factors.heading import heading_is_joint, headings_of, signatures_of
 from .config import SolvingConfig
 from .credibility import false_by_own_map, stated_false, straight_on
 from .noisefit import noise_fits, scaled
+from .result import NoiseFit
 from .solve import Solution, solve
 
 Array = NDArray[np.float64]
@@ -33,6 +34,9 @@ Array = NDArray[np.float64]
 MAX_LANDMARKS = 1000
 
 ARMS = 4
+
+#: Among up to so many points all distances are worked out sooner than a tree is built.
+FEW = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +61,11 @@ class PreparedMap:
         return len(self.positions)
 
     @cached_property
+    def poses(self) -> Array:
+        """Positions and headings (n, 3) in the map's frame, 0 for the heading of a landmark without one."""
+        return np.column_stack([self.positions, np.where(self.headed, self.headings, 0.0)])
+
+    @cached_property
     def covariance(self) -> Array:
         """Joint covariance (3n, 3n) over (x, y, heading) of every landmark in order, map axes.
 
@@ -72,10 +81,13 @@ class PreparedMap:
 
         Maps are compared with it; what is reported stays as stated (docs/evidence.md, "Wrong noise").
         """
-        if self.solution is None:
-            return 1.0
-        fit = noise_fits(self.solution)[0]
+        fit = self.noise_fit
         return 1.0 if fit.can_be_true else max(fit.estimate, 1.0)
+
+    @cached_property
+    def noise_fit(self) -> NoiseFit:
+        """How the map's own measurements fit the noise that it states; an empty map has none."""
+        return NoiseFit(0.0, 0.0) if self.solution is None else noise_fits(self.solution)[0]
 
     @cached_property
     def straightened(self) -> LandmarkMap:
@@ -149,8 +161,7 @@ class PreparedMap:
             if k < 1:
                 density[of_label] = 1 / widest
                 continue
-            found = cKDTree(self.positions[of_label]).query(self.positions[of_label], k=[k + 1])[0]
-            distance = np.asarray(found)[:, 0]
+            distance = _to_nearest(self.positions[of_label], k)
             density[of_label] = k / np.maximum(np.pi * distance**2, k * 0.05)
         return np.maximum(density, 1 / widest)
 
@@ -179,6 +190,14 @@ class PreparedMap:
             return None
         sigma = np.hypot(offset, max(noise.compass_sigma, 1e-3) / np.sqrt(weight.sum()))
         return centre, float(np.hypot(sigma, noise.heading_sigma / np.sqrt(len(angles))))
+
+
+def _to_nearest(points: Array, k: int) -> Array:
+    """Distance [m] of each point (n, 2) to its k-th nearest other one (n,)."""
+    if len(points) > FEW:
+        return np.asarray(cKDTree(points).query(points, k=[k + 1])[0])[:, 0]
+    apart = points[:, None] - points
+    return np.asarray(np.sqrt(np.partition((apart**2).sum(axis=2), k, axis=1)[:, k]))
 
 
 def _moved(landmark: Landmark, x: float, y: float, turn: float) -> Landmark:

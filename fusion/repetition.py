@@ -37,8 +37,9 @@ SEEDS = 4
 INVOLUTION = 0.3
 
 
-#: The same as logarithms: of what is there, of the prior, and of the prior of floors that lack something.
-LOG_THERE, LOG_PRIOR = np.log(1 - LACKING), np.log(LACKING_PRIOR)
+#: What is there, and as logarithms: it, the prior, and the prior of floors that lack something.
+THERE = 1 - LACKING
+LOG_THERE, LOG_PRIOR = np.log(THERE), np.log(LACKING_PRIOR)
 LOG_OTHER_FLOOR = np.log(LACKING_PRIOR[1:] / LACKING_PRIOR[1:].sum())
 
 
@@ -47,7 +48,7 @@ def lacking_odds(hits: Array, misses: Array) -> Array:
 
     ``hits``, ``misses``: probability q that a landmark there is recorded, for those that were and those that weren't.
     """
-    missed = np.log1p(-misses[:, None] * (1 - LACKING)).sum(axis=0)
+    missed = np.add.reduce(np.log1p(-misses[:, None] * THERE), axis=0)
     return np.asarray(len(hits) * LOG_THERE + missed - missed[0])  # the first lacks nothing
 
 
@@ -147,9 +148,13 @@ class SelfMatch:
 def repeats(background: Background, config: FuseConfig, best: Array, rival: Array) -> Array:
     """What both maps say of the building lying on itself under the motion from the ``best`` T12 to a ``rival``, (6,).
 
-    As `SelfMatch.under` says it, both maps together.
+    As `SelfMatch.under` says it, both maps together; kept with the background, since a verdict is given before graphs
+    are solved and after.
     """
-    in1, in2 = (SelfMatch(b, config.evidence, config.solving) for b in background.of_each)
-    return in1.under(np.asarray(se2.compose(rival, se2.inverse(best)))) + in2.under(
-        np.asarray(se2.compose(se2.inverse(rival), best))
-    )
+    asked = (config.evidence, config.solving, best.tobytes(), rival.tobytes())
+    if asked not in background.repeated:
+        in1, in2 = (SelfMatch(b, config.evidence, config.solving) for b in background.of_each)
+        background.repeated[asked] = in1.under(np.asarray(se2.compose(rival, se2.inverse(best)))) + in2.under(
+            np.asarray(se2.compose(se2.inverse(rival), best))
+        )
+    return background.repeated[asked]

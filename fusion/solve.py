@@ -19,6 +19,7 @@ from mapfuse.datasets.transform import Transform
 from mapfuse.factors import Correspondence, FrameKey, Gauge, LandmarkKey, Problem, Unknown
 from mapfuse.factors.axes import pose_to_axes
 from mapfuse.factors.keys import map_keys
+from mapfuse.factors.measurement import Poses
 
 from .config import SolvingConfig, chi2_gate
 from .covariance import Linearised, Marginals, SingularError
@@ -71,10 +72,10 @@ class Solution:
         return {unknown: k for k, unknown in enumerate(self.problem.keys.in_order)}
 
     @cached_property
-    def _marginals(self) -> Marginals:
+    def marginals(self) -> Marginals:
         """Covariances in the axes of the merged frame, given the frames that the gauge holds: what keeps the solver
         from floating is no uncertainty, and over the lever from a map's coordinate origin to its landmarks it would
-        grow to one.
+        grow to one. Unknowns are in the order of their keys.
         """
         try:
             return Marginals(self.linearised)
@@ -84,7 +85,7 @@ class Solution:
 
     def check_determined(self) -> None:
         """Raises `UndeterminedError` naming the landmarks that the measurements leave open."""
-        _ = self._marginals
+        _ = self.marginals
 
     def joint_covariance(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (3k, 3k) of k unknowns over (x, y, theta) each, axes of the merged frame.
@@ -92,7 +93,7 @@ class Solution:
         Raises `UndeterminedError` naming the landmarks that the measurements leave open, `TooLargeError` for more
         than `covariance.MAX_JOINT` unknowns.
         """
-        return self._marginals.joint([self._place[u] for u in unknowns])
+        return self.marginals.joint([self._place[u] for u in unknowns])
 
     def covariances(self, unknowns: Sequence[Unknown], others: Sequence[Unknown] | None = None) -> Array:
         """Covariance (k, 3, 3) of each of k unknowns, or cross covariance of each with one of ``others``.
@@ -100,7 +101,7 @@ class Solution:
         Those of all landmarks at once cost little more than those of one.
         """
         also = None if others is None else [self._place[u] for u in others]
-        return self._marginals.blocks([self._place[u] for u in unknowns], also)
+        return self.marginals.blocks([self._place[u] for u in unknowns], also)
 
     def covariance(self, a: Unknown, b: Unknown | None = None) -> Array:
         """Covariance (3, 3) of an unknown, or cross covariance of two; axes of the merged frame."""
@@ -153,8 +154,8 @@ def optimum(problem: Problem, rejected: Sequence[Correspondence] = ()) -> Soluti
             log.warning("optimum not reached: the last step was still %.2g", last)
     except RuntimeError as error:
         raise _indeterminate(problem, graph, order, str(error)) from None
-    poses, linearised = _finite_poses(problem, values), _linearised(problem, graph, values, order)
-    return Solution(problem, poses, iterations, linearised, tuple(rejected))
+    poses = _finite_poses(problem, values)
+    return Solution(problem, poses, iterations, _linearised(problem, graph, values, poses, order), tuple(rejected))
 
 
 def _gauss_newton(graph: Any, values: Any, order: Any) -> tuple[Any, int, float | None]:
@@ -171,7 +172,7 @@ def _gauss_newton(graph: Any, values: Any, order: Any) -> tuple[Any, int, float 
         whole = step.vector()
         proposed, past = _length(whole, past, length), whole
         for share in (proposed, 1.0, 0.5):
-            length, further = share, values.retract(step.scale(share))
+            length, further = share, values.retract(step if share == 1.0 else step.scale(share))
             after = graph.error(further)
             if after <= error + (LEVEL if share == 1.0 else 0.0):
                 break
@@ -228,18 +229,17 @@ def _finite_poses(problem: Problem, values: Any) -> dict[Unknown, Array]:
     return poses
 
 
-def _linearised(problem: Problem, graph: Any, values: Any, order: Any) -> Linearised:
+def _linearised(problem: Problem, graph: Any, values: Any, poses: Poses, order: Any) -> Linearised:
     unknowns = problem.keys.in_order
     held = {gauge.of for gauge in problem.of_kind(Gauge)}
     free = np.array([unknown not in held for unknown in unknowns], dtype=bool)
-    poses = problem.poses(values)
     thetas = np.array([poses[unknown][2] for unknown in unknowns])
     return Linearised.of(graph.linearize(values), order, problem.keys.keys(unknowns), free, thetas)
 
 
 def _indeterminate(problem: Problem, graph: Any, order: Any, message: str) -> UndeterminedError:
     """What GTSAM gave up: names the landmarks that nothing holds, failing that those in its message."""
-    held = _linearised(problem, graph, problem.values(), order)
+    held = _linearised(problem, graph, problem.values(), problem.initial, order)
     try:
         Marginals(replace(held, free=np.ones_like(held.free)))
     except SingularError as error:
@@ -271,8 +271,8 @@ def all_left_out(solution: Solution, matches: Sequence[Correspondence]) -> Array
     ``r' (R - S)^-1 r``: the residual of a tight measurement says little by itself, since it pulls the optimum along.
     """
     a, b = [m.a for m in matches], [m.b for m in matches]
-    cross = solution.covariances(a, b)
-    moved = solution.covariances(a) + solution.covariances(b) - cross - np.swapaxes(cross, 1, 2)
+    of_a, of_b, cross = solution.covariances([*a, *b, *a], [*a, *b, *b]).reshape(3, len(a), 3, 3)
+    moved = of_a + of_b - cross - np.swapaxes(cross, 1, 2)
     poses_a, poses_b = (np.array([solution.poses[u] for u in side]).reshape(-1, 3) for side in (a, b))
     r = poses_b - poses_a
     r[:, 2] = se2.wrap(r[:, 2] - [m.measured[2] for m in matches])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import ARM_TOLERANCE, heading_of, signature
+from mapfuse.datasets.arms import ARM_TOLERANCE, signature
 from mapfuse.datasets.maps import LandmarkMap, Noise
 
 from .travelled import Travelled, travelled
@@ -302,7 +303,9 @@ def _read(recorded: LandmarkMap) -> LandmarkArrays:
     arm_heading, arm_open = np.full((n, most), np.nan), np.full((n, most), -1, dtype=np.int8)
     heading = np.full(n, np.nan)
     for k, (arms, landmark) in enumerate(zip(signatures, recorded.landmarks, strict=True)):
-        whole = heading_of(landmark)
+        whole = arms.heading
+        if whole is None:
+            whole = landmark.heading
         if whole is not None:
             heading[k] = whole
         if arms.headings:
@@ -354,7 +357,7 @@ def _links(recorded: LandmarkMap) -> Codes:
     A way that strays from its arm by more than 20 degrees went round a corner and is no straight one.
     """
     straight, bent = set[tuple[int, int]](), set[tuple[int, int]]()
-    xy, place = recorded.positions.tolist(), recorded.index_from_id
+    xy, place, least = recorded.positions.tolist(), recorded.index_from_id, math.cos(math.radians(20.0))
     for k, landmark in enumerate(recorded.landmarks):
         for link in landmark.links:
             if link.connected_to_id is None or link.heading is None:
@@ -363,10 +366,10 @@ def _links(recorded: LandmarkMap) -> Codes:
             if other is None or other == k:
                 continue
             dx, dy = xy[other][0] - xy[k][0], xy[other][1] - xy[k][1]
-            length = float(np.hypot(dx, dy))
-            along = (dx * np.cos(link.heading) + dy * np.sin(link.heading)) / max(length, 1e-9)
+            length = math.hypot(dx, dy)
+            along = (dx * math.cos(link.heading) + dy * math.sin(link.heading)) / max(length, 1e-9)
             pair = (min(k, other), max(k, other))
-            (straight if length < 1.0 or along > np.cos(np.deg2rad(20.0)) else bent).add(pair)
+            (straight if length < 1.0 or along > least else bent).add(pair)
     return np.array(sorted(straight - bent), dtype=np.int32).reshape(-1, 2)
 
 
@@ -405,7 +408,7 @@ def _north(recorded: LandmarkMap) -> tuple[float, float]:
 
 def _sectors(headings: Array, which: NDArray[np.bool_]) -> NDArray[np.uint64]:
     """Directions as bits: bit s is set where an arm points into sector s; (n,)."""
-    sector = np.floor(np.nan_to_num(headings) * (SECTORS / (2 * np.pi))).astype(np.int64) % SECTORS
+    sector = np.floor(np.where(np.isnan(headings), 0.0, headings) * (SECTORS / (2 * np.pi))).astype(np.int64) % SECTORS
     bits = np.where(which, np.left_shift(np.uint64(1), sector.astype(np.uint64)), np.uint64(0))
     return frozen(np.bitwise_or.reduce(bits, axis=1) if len(bits) else np.zeros(0, dtype=np.uint64))
 
@@ -424,7 +427,7 @@ def _patterns(arrays: LandmarkArrays) -> ArmPatterns:
     arm_open = arrays.arm_open[members]
     pattern = np.zeros(len(members), dtype=np.intp)
     for step in _PATTERN_STEPS:
-        sector = np.round(np.nan_to_num(relative) / step).astype(np.int64) % round(2 * np.pi / step)
+        sector = np.round(np.where(np.isnan(relative), 0.0, relative) / step).astype(np.int64) % round(2 * np.pi / step)
         code = np.where(arm_open >= 0, 1 + 2 * sector + arm_open, 0)
         order = np.argsort(code, axis=1, kind="stable")
         code = np.take_along_axis(code, order, axis=1)
@@ -437,13 +440,13 @@ def _patterns(arrays: LandmarkArrays) -> ArmPatterns:
     sorted_by = np.lexsort((arrays.xy[members, 1], arrays.xy[members, 0], own, pattern))
     start = np.searchsorted(pattern[sorted_by], np.arange(n + 1)).astype(np.int32)
     first = sorted_by[start[:-1]]
-    arms = np.full((n, relative.shape[1]), np.nan)
-    for k in range(relative.shape[1]):
-        shift = se2.wrap(relative[:, k] - relative[first[pattern], k]) if n else relative[:, k]
-        known = ~np.isnan(shift)
-        total = np.bincount(pattern[known], shift[known], n)
-        count = np.bincount(pattern[known], minlength=n)
-        arms[:, k] = np.where(count > 0, relative[first, k] + total / np.maximum(count, 1), np.nan)
+    shift = se2.wrap(relative - relative[first[pattern]])
+    known, arm = ~np.isnan(shift), np.arange(relative.shape[1])
+    place = (pattern[:, None] * len(arm) + arm)[known]
+    shape = (n, len(arm))
+    total = np.bincount(place, shift[known], n * len(arm)).reshape(shape)
+    count = np.bincount(place, minlength=n * len(arm)).reshape(shape)
+    arms = np.where(count > 0, relative[first] + total / np.maximum(count, 1), np.nan)
     of_landmark = np.full(len(arrays), -1, dtype=np.int32)
     of_landmark[members] = pattern
     return ArmPatterns(
