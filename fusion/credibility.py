@@ -7,6 +7,9 @@ which goes straight on there. Where the robot turned off, or where no corridor g
 
 from __future__ import annotations
 
+from collections import Counter
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,22 +92,47 @@ def false_by_own_map(
     maximisation).
     """
     false, shares = stated.copy(), dict[str, float]()
+    odds = (stated / (1 - stated)).tolist()
+    known = np.flatnonzero(on | bends).tolist()
     for kind in sorted(set(kinds)):
-        of = np.array([other == kind for other in kinds]) & (on | bends)
+        of = [k for k in known if kinds[k] == kind]
+        before, share = (CORNERS_BEFORE, BEND_ERROR_RATE) if kind == CORNER else (OTHERS_BEFORE, 0.5)
         # where a corner is the corridor bends, and one that was taken for going straight stays so
-        before, first = (CORNERS_BEFORE, BEND_ERROR_RATE) if kind == CORNER else (OTHERS_BEFORE, 0.5)
-        times = np.ones(int(of.sum())) if kind == CORNER else visits[of]
-        straight, share = on[of], first
-        seen = np.where(straight, 1 - BEND_ERROR_RATE, BEND_ERROR_RATE)
+        seen = [_Seen(odds[k], bool(on[k]), 1.0 if kind == CORNER else float(visits[k]), bool(settled[k])) for k in of]
+        through_before, alike = share * before, Counter(seen)
         for _ in range(_ROUNDS):
-            always = share**times
-            told = np.where(settled[of], 1.0, seen / np.where(straight, always, 1 - always))
-            odds = stated[of] / (1 - stated[of]) * told
-            there = 1 / (1 + odds)
-            # of the visits to one at which the robot turned off once or more, those that went straight
-            through = np.where(straight, times, times * (share - always) / (1 - always))
-            share, last = float((there @ through + first * before) / (there @ times + before)), share
+            through, came = through_before, before
+            for one, count in alike.items():
+                there = count / (1 + one.odds(share))
+                through += there * one.straight_visits(share)
+                came += there * one.visits
+            share, last = through / came, share
             if share == last:  # to the last digit, as all further rounds would be
                 break
-        false[of], shares[kind] = odds / (1 + odds), share
+        told = {one: one.odds(last) for one in alike}
+        false[of], shares[kind] = [told[one] / (1 + told[one]) for one in seen], share
     return np.clip(false, 1e-9, 1 - 1e-9), shares
+
+
+class _Seen(NamedTuple):
+    """What is known of one landmark: the ``stated`` odds that it isn't there, whether its robot drove straight through,
+    how many ``visits`` it could have turned off at, and whether it is ``settled``, so that this tells nothing."""
+
+    stated: float
+    straight: bool
+    visits: float
+    settled: bool
+
+    def odds(self, share: float) -> float:
+        """Odds that it isn't there, where the ``share`` of visits to true ones goes straight through."""
+        if self.settled:
+            return self.stated
+        always = float(share**self.visits)
+        return self.stated * ((1 - BEND_ERROR_RATE) / always if self.straight else BEND_ERROR_RATE / (1 - always))
+
+    def straight_visits(self, share: float) -> float:
+        """Expected number of its visits that went straight through, if it is there."""
+        if self.straight:
+            return self.visits
+        always = float(share**self.visits)  # not all of them did
+        return self.visits * (share - always) / (1 - always)
