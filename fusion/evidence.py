@@ -31,7 +31,7 @@ ONE_GRID = 0.5
 #: nats; half of it where it comes to none, and so many distances along corridors are known that a rhythm would show.
 REGULAR_NATS, DISTANCES = 7.5, 20
 #: Probability that a compass agrees by chance although its robot was misled by steel everywhere.
-STEEL_RATE = 0.003
+STEEL_RATE = 0.001
 
 
 @dataclass(frozen=True, slots=True)

@@ -209,7 +209,7 @@ def test_compass_is_a_density_against_that_of_other_buildings_with_a_floor():
     grid = vonmises(kappa=1 / (0.12**2 + 0.2**2)).pdf(rotations[:, None] - quarters).mean(axis=1)
     others = 0.5 * grid + 0.5 / (2 * np.pi)
     assert np.trapezoid(ratio * others, rotations) == pytest.approx(1, abs=0.02)
-    assert np.log(ratio.min()) == pytest.approx(np.log(0.003 / (0.5 + 0.5 * 2 * np.pi * grid.max())), abs=0.1)
+    assert np.log(ratio.min()) == pytest.approx(np.log(0.001 / (0.5 + 0.5 * 2 * np.pi * grid.max())), abs=0.1)
     assert evidence._compass(m1, SimpleNamespace(north=None), 1.0) == 0
 
 
