@@ -283,5 +283,7 @@ def prepare(
         solution.check_determined()
     headings = np.where(headed, poses[:, 2], np.nan)
     directions, passable, travelled = _arms(map_, poses[:, 2])
-    corridors = straight_corridors(map_, poses[:, :2], headings, corridor_angle)
-    return PreparedMap(map_, poses[:, :2], headings, solution, directions, passable, travelled, corridors)
+    # of one memory layout for any number of landmarks, which is part of a compiled loop's types
+    positions = np.ascontiguousarray(poses[:, :2])
+    corridors = straight_corridors(map_, positions, headings, corridor_angle)
+    return PreparedMap(map_, positions, headings, solution, directions, passable, travelled, corridors)

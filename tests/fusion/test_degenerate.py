@@ -436,3 +436,19 @@ def test_mistakes_of_the_caller_are_errors_that_say_so():
     with pytest.raises(MapError) as caught:
         fuse([m, broken])
     assert len(caught.value.problems) >= 2
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_a_map_of_a_few_landmarks_against_a_whole_one(tmp_path, count):
+    # compiled loops take both maps at once: an array of one row has another memory layout than one of many
+    whole, other, _ = simulated_pair(3)
+    kept = {landmark.id for landmark in other.landmarks[:count]}
+    few = other.replace(
+        landmarks=tuple(
+            replace(landmark, links=tuple(link for link in landmark.links if link.connected_to_id in {None, *kept}))
+            for landmark in other.landmarks[:count]
+        )
+    )
+    answers = [checked_fuse(maps, tmp_path) for maps in ([whole, few], [few, whole])]
+    assert len({fused.decision for fused in answers}) == 1
+    assert answers[0].decision != "merged"
