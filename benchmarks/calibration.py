@@ -115,6 +115,10 @@ def _well_stated(outcome: Outcome) -> bool:
     return CLASSES[outcome.pair_class].stated == 1.0
 
 
+def _percent(part: int, whole: int, digits: int) -> str:
+    return f"{part / whole:.{digits}%}" if whole else "-"
+
+
 def summary(outcomes: Sequence[Outcome]) -> list[str]:
     """The figures that are asked for."""
     right = np.array([bool(o.right) for o in outcomes])
@@ -132,16 +136,17 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
     existence = [e for o in merged if not o.wrong for e in o.existence]
     false = [p < 0.5 for p, there, refutable in existence if refutable and not there]
     true = [p < 0.5 for p, there, _ in existence if there]
-    inside, landmarks = np.sum([o.ellipse for o in merged if not o.wrong and _well_stated(o)], axis=0)
+    stated = [o.ellipse for o in merged if not o.wrong and _well_stated(o)]
+    inside, landmarks = (sum(counts[k] for counts in stated) for k in (0, 1))
 
     def accepted(of: Sequence[Outcome]) -> str:
         return share([o.decision == "merged" for o in of])
 
     return [
-        f"- merges that are wrong: {wrong} of {len(merged)} ({wrong / len(merged):.4%}; at most "
+        f"- merges that are wrong: {wrong} of {len(merged)} ({_percent(wrong, len(merged), 4)}; at most "
         f"{upper(wrong, len(merged)):.2%} with 95 % confidence)",
-        f"- pairs of different floors that were merged: {apart} of {len(different)} ({apart / len(different):.3%}; at "
-        f"most {upper(apart, len(different)):.2%})",
+        f"- pairs of different floors that were merged: {apart} of {len(different)} "
+        f"({_percent(apart, len(different), 3)}; at most {upper(apart, len(different)):.2%})",
         f"- accepted on floors that are not symmetric: with 8 or more common landmarks {accepted(many)}, "
         f"{accepted([o for o in many if _well_stated(o)])} where the noise is as stated; with 5 to 7 {accepted(few)}",
         f"- symmetric floors without compass: merged wrongly {share([o.wrong for o in blind])}, truth listed "
@@ -152,7 +157,8 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
         f"{np.mean((probability - right) ** 2):.4f}, of the evidence of the first alone "
         f"{np.mean((raw - right) ** 2):.4f}, of the margin of paper mode's count, fitted in hindsight, "
         f"{np.mean((fitted - paper_right) ** 2):.4f}",
-        f"- 95 % ellipses of landmarks hold {inside / landmarks:.1%} of {landmarks} where the noise is as stated",
+        f"- 95 % ellipses of landmarks hold {_percent(inside, landmarks, 1)} of {landmarks} where the noise is as "
+        "stated",
         f"- existence below 0.5, in right merges: of false landmarks that the other robot passed {share(false)}, of "
         f"true ones {share(true)}",
     ]  # fmt: skip

@@ -123,7 +123,9 @@ class NoiseFit:
 
     @property
     def estimate(self) -> float:
-        """The scale to use: `scale`, drawn to 1 by `AS_STATED` measurements where there are few others."""
+        """The scale to use: `scale` where the stated noise can't be true, else drawn to 1 by `AS_STATED` readings."""
+        if not self.can_be_true:
+            return self.scale
         return float(np.sqrt((self.chi2 * self.used**2 + AS_STATED) / (self.redundancy + AS_STATED)))
 
     @property

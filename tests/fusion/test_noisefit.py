@@ -98,7 +98,11 @@ def test_what_follows_from_chi2():
     assert low == pytest.approx(np.sqrt(160 / chi2.ppf(0.975, 40)))
     assert high == pytest.approx(np.sqrt(160 / chi2.ppf(0.025, 40)))
     assert not fit.can_be_true
-    assert 1 < fit.estimate == pytest.approx(np.sqrt((160 + AS_STATED) / (40 + AS_STATED)))
+    assert fit.estimate == fit.scale, "what refutes the stated noise isn't drawn to it"
+    believable = NoiseFit(chi2=50.0, redundancy=40.0)
+    assert believable.can_be_true
+    assert believable.estimate == pytest.approx(np.sqrt((50 + AS_STATED) / (40 + AS_STATED)))
+    assert 1 < believable.estimate < believable.scale
     # solved with twice the stated sigmas the same residuals say the same of what is stated
     again = NoiseFit(chi2=40.0, redundancy=40.0, used=2.0)
     assert (again.scale, again.estimate, again.can_be_true) == (2.0, pytest.approx(fit.estimate), False)
