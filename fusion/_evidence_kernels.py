@@ -261,7 +261,8 @@ def clashes(p1, p2, corner1, corner2, free1, free2, width):
 @kernel
 def passing(A, B, turn, p1, p2, i, j, limits):
     """What each robot passed of the other's map, whose landmarks lie at ``p1`` (n1, 2) and ``p2`` (n2, 2), map 2
-    turned by ``turn`` [rad], the landmarks i and j being the same; as `mapfuse.fusion.passing.Passing` has it.
+    turned by ``turn`` [rad], the landmarks i (k1,) and j (k2,) being recorded by both; as
+    `mapfuse.fusion.passing.Passing` has it.
 
     Which landmarks of map 1, of map 2 were passed; through how many blocked arms of each, and of matched ones; clashes;
     corridor of both [m]; how many corridors cross bare.
@@ -274,9 +275,13 @@ def passing(A, B, turn, p1, p2, i, j, limits):
     through2 = blocked_ways(inside1, B.arm, B.passable, turn, start1, end1, limits.angle)
     blocked = 0
     free1, free2 = A.spatial.copy(), B.spatial.copy()
+    # not necessarily pairs: of some only that they are recorded by both is known, and there may be more in one map
     for n in range(len(i)):
-        blocked += through1[i[n]] + through2[j[n]]
-        free1[i[n]] = free2[j[n]] = False
+        blocked += through1[i[n]]
+        free1[i[n]] = False
+    for n in range(len(j)):
+        blocked += through2[j[n]]
+        free2[j[n]] = False
     # a corner that the other robot drove straight across contradicts, whatever its arms
     across1, across2 = any_of_each(inside2), any_of_each(inside1)
     for k in range(len(p1)):

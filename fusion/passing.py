@@ -66,7 +66,7 @@ def passing_at(
     """What each robot passed of the other's map, map 2 lying at ``T12`` (3,).
 
     ``placed``: where the landmarks of both maps then are, (n1, 2) and (n2, 2) in frame 1; ``matched``: places of those
-    that are the same.
+    that both recorded, (k1,) and (k2,).
     """
     p1, p2 = (np.ascontiguousarray(p) for p in placed)
     kernels, turn = evidence_kernels(), float(T12[2])

@@ -123,9 +123,12 @@ class NoiseFit:
 
     @property
     def estimate(self) -> float:
-        """The scale to use: `scale` where the stated noise can't be true, else drawn to 1 by `AS_STATED` readings."""
+        """The scale to use. Where the stated noise can't be true, `scale`, and as much more as makes up for its being
+        estimated itself, of the variance n / (n - 2) (Student's t with n redundant readings); else it is drawn to 1 by
+        `AS_STATED` readings."""
+        n = self.redundancy
         if not self.can_be_true:
-            return self.scale
+            return self.scale * float(np.sqrt(n / max(n - 2, n / 2)))
         return float(np.sqrt((self.chi2 * self.used**2 + AS_STATED) / (self.redundancy + AS_STATED)))
 
     @property

@@ -242,6 +242,24 @@ def test_arms_that_contradict_at_a_matched_landmark():
     assert np.exp(-one.rarity1[1]) == pytest.approx((3 + 2) / (4 + 2), rel=0.01)
 
 
+def test_what_both_recorded_need_not_be_pairs():
+    # of some landmarks only that they are in both maps is known: each map's count for themselves
+    map1, map2, truth = simulated_pair(81_105)
+    m1, m2 = prepare(map1, SOLVING), prepare(map2, SOLVING)
+    T12 = np.add(truth.T12("A", "B").array, [1.0, 1.0, 0.0])  # so that arms are driven through
+    placed = m1.positions, np.asarray(se2.transform(T12, m2.positions))
+    background, nobody = Background(m1, m2), np.zeros(0, dtype=np.intp)
+
+    def blocked(i, j):
+        return passing_at(T12, placed, (i, j), background, CONFIG).blocked
+
+    every1, every2 = np.arange(len(m1)), np.arange(len(m2))
+    assert blocked(every1, nobody) > 0 < blocked(nobody, every2)
+    for some2 in (nobody, every2[:1], every2):
+        assert blocked(every1, some2) == blocked(every1, nobody) + blocked(nobody, some2)
+        assert blocked(every1[:2], some2) == blocked(every1[:2], nobody) + blocked(nobody, some2)
+
+
 @pytest.mark.parametrize("off", [0.0, 0.3, 1.5, np.pi])
 def test_compasses_that_agree_and_that_do_not(off):
     # Map 1's arm at 0 reads 1.0: north at -1.0 in its frame; map 2's reads off more. Under T12's rotation of 0 the
