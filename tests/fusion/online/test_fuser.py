@@ -78,6 +78,10 @@ def same_answer(found, expected):
 
 
 def test_two_maps_told_landmark_by_landmark_end_where_fuse_ends(floor, landmarks_of):
+    # detected on each visit: a false alarm that its own robot missed the second time needs no other one to refute it
+    floor = [
+        m.replace(landmarks=tuple(replace(l, visit_counter=l.detection_counter) for l in m.landmarks)) for m in floor
+    ]
     fuser = OnlineFuser()
     for m in floor:
         fuser.add_robot(m.name, m.noise)
