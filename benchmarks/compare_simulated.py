@@ -6,12 +6,11 @@
 Of every kind of floor N pairs, by seeds that nothing was tuned or tested on before; each pair counts as with a loop
 where the ways of both robots together close one. rms are of all recorded landmarks that are true places, in the frame
 of map 1 and after the best rigid motion; ratios and means over the pairs that both methods merged. ``bound``: the rms
-that is expected of the optimum of all measurements with the true matches, by its covariance: Cramer and Rao's bound, no
-unbiased estimate from the same measurements has less. What loops are
-worth: the same of floors that both robots explored whole, with recorded positions that close all loops, and as first
-reckoned, which close none. Hospitals: two fresh drives each through the building of the hospital pair, as
-`mapfuse.datasets.recordings.make_paper_maps` makes them, mapped and merged. ``--write`` keeps the tables in
-``benchmarks/results/compare-simulated.md``.
+that is expected of the optimum of all measurements with the true matches, by its covariance: Cramer and Rao's bound,
+no unbiased estimate from the same measurements has less. What loops are worth: the same of floors that both robots
+explored whole, with recorded positions that close all loops, and as first reckoned, which close none. Hospitals: two
+fresh drives each through the building of the hospital pair, as `mapfuse.datasets.recordings.make_paper_maps` makes
+them, mapped and merged. ``--write`` keeps the tables in ``benchmarks/results/compare-simulated.md``.
 """
 
 from __future__ import annotations
@@ -163,9 +162,8 @@ def floor_table(found: dict[tuple[str, bool], list[Pair]], of: str) -> list[str]
         for method in (*METHODS, BOUND):
             own = [p[method] for p in pairs]
             merged, wrong = sum(e.decision == "merged" for e in own), sum(bool(e.merged_wrongly) for e in own)
-            line = f"| {kind} | {'yes' if loop else 'no'} | {method} | {len(own)} | {merged} | {wrong} |"
-            if method == BOUND:
-                line = f"| {kind} | {'yes' if loop else 'no'} | {method} | {len(own)} | - | - |"
+            decided = "- | -" if method == BOUND else f"{merged} | {wrong}"
+            line = f"| {kind} | {'yes' if loop else 'no'} | {method} | {len(own)} | {decided} |"
             if method == "heuristic":
                 lines.append(line + " - |" * 7)
                 continue
