@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import cos, hypot, isfinite, sin
 from pathlib import Path
@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import se2
 from ..logs import Compass, Detection, Event, Gyro, Log, LogHeader, Odometry, Scan
 from ..maps import LandmarkMap
 from . import finish, joining, saved
@@ -106,6 +107,23 @@ class Mapper:
         motion = self.state.reckoning.motion()
         _, F, Q = self._prediction(motion, self.filter.x)
         return np.asarray(F @ self.filter.P[np.ix_(_ROWS, _ROWS)] @ F.T + Q, dtype=float)
+
+    def pose_among(self, landmarks: Sequence[Known]) -> tuple[Array, Array]:
+        """The pose (3,), and its covariance with n landmarks together (3 + 2n, 3 + 2n), in that order.
+
+        What is systematic in the motion since the last keyframe is in the landmarks, too: their covariance with the
+        pose comes from all of the state that the motion is reckoned by.
+        """
+        P = self.filter.P
+        pose, F, Q = self._prediction(self.state.reckoning.motion(), self.filter.x)
+        columns = [column for landmark in landmarks for column in (landmark.at, landmark.at + 1)]
+        rows = np.array([*_ROWS, *columns], dtype=np.intp)
+        J = np.eye(3 + len(columns), len(rows), k=4)
+        J[:3] = 0.0
+        J[:3, :7] = F
+        joint = se2.propagate(J, P[np.ix_(rows, rows)])
+        joint[:3, :3] += Q
+        return pose, joint
 
     def final_pose(self) -> tuple[Array, Array]:
         """`pose` and its covariance from all that is remembered, as `map` is, instead of from the filter."""

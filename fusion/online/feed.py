@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mapfuse.datasets import se2
 from mapfuse.datasets.logs import Event, LogHeader
 from mapfuse.datasets.mapper import Mapper
 from mapfuse.datasets.mapper.changes import LandmarkAdded
@@ -53,27 +54,22 @@ class Feed:
 
     def placed(self) -> Placed:
         """Where the robot is by now, and how that goes together with where the landmarks near it are."""
-        x, P = self.mapper.filter.x, self.mapper.filter.P
+        x = self.mapper.filter.x
         pose = self.mapper.pose
         near = sorted(
             self.mapper.landmarks.values(),
             key=lambda l: (float(np.hypot(x[l.at] - pose[0], x[l.at + 1] - pose[1])), l.key),
         )[:MOST_NEAR]
-        columns = [column for l in near for column in (l.at, l.at + 1)]
-        u, v, _ = self.mapper.reckoned()[2]
-        c, s = np.cos(x[2]), np.sin(x[2])
-        F = np.eye(3)
-        F[0, 2], F[1, 2] = -s * u - c * v, c * u - s * v
-        cross = F @ P[np.ix_([0, 1, 2], columns)]
-        joint = np.block([[self.mapper.pose_covariance, cross], [cross.T, P[np.ix_(columns, columns)]]])
+        place, covariance = self.mapper.pose_among(near)
+        place[2] = se2.wrap(place[2])
         return Placed(
             robot=self.name,
             sequence=self._next(),
             t=self.t,
-            pose=np.array([pose[0], pose[1], float(np.remainder(pose[2] + np.pi, 2 * np.pi) - np.pi)]),
-            covariance=(joint + joint.T) / 2,
+            pose=place,
+            covariance=covariance,
             order=tuple(landmark_id(l) for l in near),
-            positions=x[columns].reshape(-1, 2),
+            positions=np.array([x[l.at : l.at + 2] for l in near]).reshape(-1, 2),
         )
 
     def noise(self) -> Noise:

@@ -219,6 +219,25 @@ def test_a_jump_of_the_odometry_widens_the_doubt_and_the_map_goes_on():
     assert mapper.pose[:2] == pytest.approx([2.9, 0.0])
 
 
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_pose_and_landmarks_go_together_as_after_a_keyframe_here(simulated, share):
+    """What is systematic in the odometry since the last keyframe is in the landmarks, too: the filter, which carries
+    all of its state to a keyframe, has the same covariance there."""
+    mapper = Mapper(simulated.header)
+    for event in simulated.events[: int(share * len(simulated.events))]:
+        if not isinstance(event, Scan):
+            mapper.update(event)
+    _, way, _ = mapper.reckoned()
+    assert way > mapper.state.memory.keyframes[-1].way + 0.1
+    landmarks = list(mapper.landmarks.values())[-6:]
+    pose, joint = mapper.pose_among(landmarks)
+    assert np.linalg.eigvalsh(joint).min() > 0
+    mapper._keyframe()
+    at = [0, 1, 2, *(column for l in landmarks for column in (l.at, l.at + 1))]
+    assert joint == pytest.approx(mapper.filter.P[np.ix_(at, at)], abs=1e-12)
+    assert pose == pytest.approx(mapper.pose)
+
+
 def test_a_jump_in_time_loses_nothing():
     mapper = Mapper(HEADER)
     for t, x in ((0.0, 0.0), (1.0, 0.4), (1e6, 0.8)):

@@ -251,6 +251,32 @@ def test_a_robot_follows_its_landmarks(floor, whole):
     assert np.allclose(place.pose.covariance[:2, :2], C + 0.01 * np.eye(2), atol=1e-5)
 
 
+def test_a_robot_turns_with_its_landmarks(floor, whole):
+    """Its heading far from its start is doubtful, its sight of what is around it isn't: where the landmarks are turned
+    as a whole by 0.3 rad about its start, so is the robot, to the millimetre."""
+    fuser = OnlineFuser()
+    for m in floor:
+        fuser.take(whole(m))
+    fuser.advance(force=True)
+    name, recorded = floor[0].name, floor[0]
+    near = recorded.landmarks[3:6]
+    ids, true = tuple(l.id for l in near), np.array([[l.x, l.y] for l in near])
+    robot = np.array([*true.mean(axis=0) + 1.0, 0.4])
+    turn = np.array([0.0, 0.0, 0.3])
+    said, positions = se2.compose(turn, robot), se2.transform(turn, true)
+    # one turn of all by a third of a radian, and a sight of 3 mm
+    J = np.stack([[-said[1], said[0], 1.0, *np.stack([-positions[:, 1], positions[:, 0]], axis=1).ravel()]], axis=1)
+    P = 0.3**2 * J @ J.T + 0.003**2 * np.eye(9)
+    fuser.take(Placed(robot=name, sequence=90, t=5.0, pose=said, covariance=P, order=ids, positions=positions))
+    place = fuser.places()[name]
+    known = fuser.current.landmarks(name)
+    moved = se2.align(np.array([known[i][:2] for i in ids]), true)
+    expected = se2.compose(moved.T12, robot)
+    fit = np.abs(moved.residuals).max()
+    assert np.hypot(*(place.pose.array - expected)[:2]) < 0.002 + fit
+    assert abs(se2.wrap(place.pose.theta - expected[2])) < 0.002 + fit
+
+
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
