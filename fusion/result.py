@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtr, chdtri
+from scipy.special import chdtr, chdtri, expit, gammaln
 
 from mapfuse.datasets.maps import JointCovariance, LandmarkMap, Link
 from mapfuse.datasets.transform import Transform
@@ -23,8 +24,9 @@ Decision = Literal["merged", "partial", "ambiguous", "no_overlap"]
 
 #: A scale is believed to differ from 1 where that leaves the residuals this improbable.
 IMPROBABLE = 1e-3
-#: Redundant measurements that an estimate assumes besides those it has, all as stated, so that few don't decide.
-AS_STATED = 4.0
+#: Before looking: probability that a map's noise is as stated, and otherwise the scales, all orders of magnitude alike,
+#: within this factor of 1, up and down.
+AS_STATED, MOST_SCALE = 0.5, 10.0
 #: Less redundancy than this says nothing.
 LEAST_REDUNDANCY = 1.0
 
@@ -123,13 +125,19 @@ class NoiseFit:
 
     @property
     def estimate(self) -> float:
-        """The scale to use. Where the stated noise can't be true, `scale`, and as much more as makes up for its being
-        estimated itself, of the variance n / (n - 2) (Student's t with n redundant readings); else it is drawn to 1 by
-        `AS_STATED` readings."""
-        n = self.redundancy
-        if not self.can_be_true:
-            return self.scale * float(np.sqrt(n / max(n - 2, n / 2)))
-        return float(np.sqrt((self.chi2 * self.used**2 + AS_STATED) / (self.redundancy + AS_STATED)))
+        """The scale to use: the root of the variance to be expected, that of the noise as stated or of any other scale.
+
+        With n redundant readings and c the sum of their squares a scale s has the likelihood ``s^-n exp(-c / 2s^2)``.
+        Over all scales, ``ds / s`` each, it integrates to ``Gamma(n/2) (c/2)^(-n/2) / 2``, and the variance to be
+        expected is ``c / (n - 2)``: `scale` squared, and as much more as makes up for its being estimated itself
+        (Student's t). Few readings that fit what is stated leave the scale there.
+        """
+        n, c = self.redundancy, self.chi2 * self.used**2
+        if n < LEAST_REDUNDANCY or c <= 0:
+            return 1.0
+        another = float(gammaln(n / 2)) - n / 2 * math.log(c / 2) - math.log(2) - math.log(2 * math.log(MOST_SCALE))
+        as_stated = float(expit(math.log(AS_STATED / (1 - AS_STATED)) - c / 2 - another))
+        return math.sqrt(as_stated + (1 - as_stated) * c / max(n - 2, n / 2))
 
     @property
     def can_be_true(self) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.stats import chi2, t
 
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
@@ -16,7 +17,7 @@ from mapfuse.fusion.cli.summary import summarise
 from mapfuse.fusion.config import SolvingConfig
 from mapfuse.fusion.noisefit import noise_fits, scaled
 from mapfuse.fusion.prepared import prepare
-from mapfuse.fusion.result import AS_STATED, NoiseFit
+from mapfuse.fusion.result import AS_STATED, MOST_SCALE, NoiseFit
 from mapfuse.fusion.solve import solve
 
 SOLVING = SolvingConfig()
@@ -99,16 +100,27 @@ def test_what_follows_from_chi2():
     assert high == pytest.approx(np.sqrt(160 / chi2.ppf(0.025, 40)))
     assert not fit.can_be_true
     # what refutes the stated noise isn't drawn to it; estimated from 40 readings, it is that of a t distribution
-    assert fit.estimate == pytest.approx(fit.scale * np.sqrt(t(40).var()))
+    assert fit.estimate == pytest.approx(fit.scale * np.sqrt(t(40).var()), rel=1e-6)
     believable = NoiseFit(chi2=50.0, redundancy=40.0)
     assert believable.can_be_true
-    assert believable.estimate == pytest.approx(np.sqrt((50 + AS_STATED) / (40 + AS_STATED)))
     assert 1 < believable.estimate < believable.scale
     # solved with twice the stated sigmas the same residuals say the same of what is stated
     again = NoiseFit(chi2=40.0, redundancy=40.0, used=2.0)
     assert (again.scale, again.estimate, again.can_be_true) == (2.0, pytest.approx(fit.estimate), False)
     nothing = NoiseFit(0.0, 0.0)
     assert (nothing.scale, nothing.can_be_true, nothing.estimate) == (1.0, True, 1.0)
+
+
+@pytest.mark.parametrize(("chi2_", "readings"), [(4.0, 5.0), (18.0, 5.5), (10.0, 20.0), (45.0, 20.0), (30.0, 40.0)])
+def test_the_estimate_is_the_expected_variance_by_integration(chi2_, readings):
+    """As stated with one half, any other scale with the other; integrated over the scales by the trapezium rule."""
+    log_s = np.linspace(-8.0, 8.0, 200_001)
+    log_likelihood = -readings * log_s - chi2_ / 2 * np.exp(-2 * log_s)
+    any_other = (1 - AS_STATED) * np.exp(log_likelihood) / (2 * np.log(MOST_SCALE))
+    stated = AS_STATED * np.exp(-chi2_ / 2)
+    expected = stated + trapezoid(any_other * np.exp(2 * log_s), log_s)
+    expected /= stated + trapezoid(any_other, log_s)
+    assert NoiseFit(chi2_, readings).estimate == pytest.approx(np.sqrt(expected), rel=1e-5)
 
 
 def test_scaling_a_map_scales_all_that_says_how_good_it_is():
