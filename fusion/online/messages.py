@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.mapfile import validate
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
+from mapfuse.datasets.rules import covariance_fault
 from mapfuse.datasets.values import frozen_array
 
 from ..groups import strays
@@ -94,6 +95,8 @@ class Placed(_Said):
             raise MapfuseError(f"message {self.sequence} of {self.robot!r}: {reason}")
         if not all(np.isfinite(values).all() for values in (self.pose, self.covariance, self.positions)):
             raise MapfuseError(f"message {self.sequence} of {self.robot!r}: its pose is not finite")
+        if (fault := covariance_fault(self.covariance)) is not None:
+            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: the covariance of its pose {fault}")
 
 
 Message: TypeAlias = LandmarkSeen | LandmarkLink | Removed | Correction | Placed

@@ -110,3 +110,6 @@ def test_messages_without_sense_are_refused():
         Placed(robot="r", sequence=0, t=0.0, pose=np.zeros(3), covariance=np.eye(3), order=("a",))
     with pytest.raises(MapfuseError, match="not finite"):
         Placed(robot="r", sequence=0, t=0.0, pose=np.array([0, 0, np.inf]), covariance=np.eye(3))
+    surer_than_sure = np.eye(5) + np.eye(5, k=3) * 1.2 + np.eye(5, k=-3) * 1.2
+    with pytest.raises(MapfuseError, match="the covariance of its pose is no covariance"):
+        Placed(robot="r", sequence=0, t=0.0, pose=[0, 0, 0], covariance=surer_than_sure, order="a", positions=[[0, 0]])
