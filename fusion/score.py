@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
+from mapfuse.datasets.transform import Transform
 from mapfuse.datasets.truth import Truth
 
 from .result import FusedMap, PairDecision
@@ -26,9 +27,8 @@ class PairScore:
     ``right``, ``reported``, ``common``: reported correspondences that are true, all reported, all true ones.
     ``displacement`` [m]: mean distance of the common landmarks from their true places, in the frame of the first map,
     and ``own_displacement`` [m] of the same landmarks as the first map alone has them (NaN where nothing was merged).
-    ``nees_T12``: normalised estimation error squared of T12, chi-square with 3 degrees
-    of freedom where its covariance holds; ``nees_landmarks`` (k,): of every fused landmark that is one true place,
-    each with 2.
+    ``nees_T12``: normalised estimation error squared of T12, chi-square with 3 degrees of freedom where its covariance
+    holds (`nees_of_transform`); ``nees_landmarks`` (k,): of every fused landmark that is one true place, each with 2.
     """
 
     decision: PairDecision
@@ -70,9 +70,7 @@ def score_pair(fused: FusedMap, truth: Truth) -> PairScore:
         common = [landmark for landmark in found if landmark.common]
         displacement = float(np.mean([np.hypot(*l.error) for l in common])) if common else float("inf")
         own = float(np.mean([np.hypot(*l.own_error) for l in common])) if common else 0.0
-        error_T12 = pair.T12.array - truth.T12(*pair.maps).array
-        error_T12[2] = se2.wrap(error_T12[2])
-        nees_T12 = _nees(error_T12, np.asarray(pair.T12.covariance))
+        nees_T12 = nees_of_transform(pair.T12, truth.T12(*pair.maps))
     return PairScore(
         pair.decision,
         pair.probability,
@@ -116,3 +114,27 @@ def _errors(fused: FusedMap, truth: Truth) -> list[_Placed]:
 
 def _nees(error: Array, covariance: Array) -> float:
     return float(error @ np.linalg.solve(covariance, error))
+
+
+def nees_of_transform(found: Transform, true: Transform) -> float:
+    """Normalised estimation error squared of a transformation with covariance, chi-square with 3 degrees of freedom.
+
+    The error is told as a turn about the point that shift and turn are uncorrelated about by the covariance itself, and
+    the shift of that point: to second order exponential coordinates (Long, Wolfe, Mashner and Chirikjian, "The banana
+    distribution is Gaussian", RSS 2012). A frame whose origin is 50 m from there and which is turned by 0.1 rad leaves
+    its tangent by 0.25 m; a covariance in the axes of the frame, which is one to first order, knows nothing of it. For
+    small turns this is the usual NEES.
+
+    >>> C = np.array([[25.01, 0.0, 0.5], [0.0, 0.01, 0.0], [0.5, 0.0, 0.01]])  # known to 0.1 rad, 50 m from there
+    >>> found = Transform(0.0, 0.0, 0.0, C)
+    >>> turned = Transform(50 * np.sin(0.1), 50 - 50 * np.cos(0.1), 0.1)  # off by just that, about that point
+    >>> round(nees_of_transform(found, turned), 3)
+    1.0
+    """
+    C = np.asarray(found.covariance)
+    turn = float(se2.wrap(found.theta - true.theta))
+    tangent = C[:2, 2] / C[2, 2]
+    from_centre = np.array([tangent[1], -tangent[0]])
+    arc = from_centre - se2.rotation(-turn) @ from_centre
+    shift = found.array[:2] - true.array[:2] - arc
+    return _nees(shift, C[:2, :2] - np.outer(C[:2, 2], tangent)) + turn**2 / float(C[2, 2])
