@@ -19,7 +19,7 @@ from .background import Background
 from .config import FuseConfig, SolvingConfig
 from .decide import Verdict, decide
 from .elastic import Joined
-from .evidence import Weighed, weigh
+from .evidence import Weighed, weigh, weigh_all
 from .growth import Growth, Pairs, compatible, grow
 from .known import agreeing, check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
@@ -208,7 +208,7 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, stated: Tran
     hypotheses = _worth_growing(propose(m1.straightened, m2.straightened, config.matching), m1, m2, config)
     known = known_pairs(m1.map, m2.map)
     grown = grow_all(m1, m2, hypotheses, config.solving, known)
-    weighed = [told(weigh(g, background, config.evidence)) for g in grown]
+    weighed = [told(w) for w in weigh_all(grown, background, config.evidence)]
     weighed = distinct(weighed, config.matching.tolerance_m)
     verdict = judged(weighed, background, config)
     answers = list(verdict.ranked)
