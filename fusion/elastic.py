@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -185,6 +186,22 @@ class Joined:
         """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it, T12's prior included."""
         found: tuple[Array, Array] = corridor_kernels().given_before(self.covariance, self.r)
         return found
+
+
+def joined_each(m1: PreparedMap, m2: PreparedMap, T0s: Array, partners: Index) -> list[Joined]:
+    """Two maps joined in g ways, linearised at ``T0s`` (g, 3).
+
+    ``partners`` (g, n1): of map 1's landmarks in map 2, -1 without.
+    """
+    found = growth_kernels().all_at_rest(side(m1), side(m2), T0s, partners, PRIOR_SIGMA)
+    begin, i, j, *arms, C, r, T12s, covariances, p1, p2 = found
+    joined, at = [], 0
+    for h, (a, b) in enumerate(pairwise(begin.tolist())):
+        rows, of = 3 * (b - a), slice(a, b)
+        own_C, at = C[at : at + rows * rows].reshape(rows, rows), at + rows * rows
+        known = (*(x[of] for x in arms), own_C, r[3 * a : 3 * b], T12s[h], covariances[h], p1[h], p2[h])
+        joined.append(Joined(m1, m2, T0s[h], i[of], j[of], known))
+    return joined
 
 
 @dataclass(frozen=True, eq=False)
