@@ -521,20 +521,23 @@ def associated(A, B, T0, partner, may, reach, limits):
 
 @kernel
 def pruned(A, B, T0, partner, known, limits):
-    """Drop, one by one, the pair that fits the others worst, until all pass the gate; ``known`` (n1,) ones stay."""
+    """Drop, one by one, the pair that fits the others worst, until all pass the gate; ``known`` (n1,) ones stay.
+
+    The partners left, and T12 (3,) of the two maps joined at them.
+    """
     partner = partner.copy()
     while True:
         i, j = sorted_pairs(partner)
         if len(i) <= 2:
-            return partner
-        _, inverse, weights, _ = joined(A, B, T0, i, j, limits.prior_sigma)
+            return partner, optimum(A, B, T0, partner, limits)
+        _, inverse, weights, T12 = joined(A, B, T0, i, j, limits.prior_sigma)
         _, d2 = densities(*left_out(inverse, weights))
         for n in range(len(i)):
             if known[i[n]] == j[n]:
                 d2[n] = 0.0
         worst = int(np.argmax(d2))
         if d2[worst] < limits.gate3:
-            return partner
+            return partner, T12
         partner[i[worst]] = -1
 
 
@@ -570,10 +573,81 @@ def stood_still(A, B, T0, partner, may, known, limits):
         if (found >= 0).sum() < 2:
             break
         T0 = optimum(A, B, T0, found, limits)
-        partner = pruned(A, B, T0, found, known, limits)
-        T0 = optimum(A, B, T0, partner, limits)
+        partner, T0 = pruned(A, B, T0, found, known, limits)
         for before in range(rounds - 1):
             if (seen[before] == partner).all():
                 return partner, T0, rounds
         seen[rounds - 1] = partner
     return partner, T0, rounds
+
+
+class Proposals(NamedTuple):
+    """h hypotheses to grow: ``T12s`` (h, 3), and with how many matches each was proposed (h,). ``seeds``, ``matches``
+    (h, n1): partners of map 1's landmarks to begin with, and of all that were proposed; -1 without."""
+
+    T12s: Array
+    expected: Index
+    seeds: Index
+    matches: Index
+
+
+@kernel
+def grown_all(A, B, P, may, enough, turn, limits):
+    """All distinct P (`Proposals`) `grown` from their seeds; and where that comes to fewer matches than were proposed,
+    which are ``enough``, from all of these, too.
+
+    One whose seed an earlier one explains, not turned by ``turn`` [rad] against it, is the same answer. Of g that were
+    grown: T12s (g, 3) at which they are linearised, rounds (g,), the partners of map 1's landmarks (g, n1).
+    """
+    n1 = len(may)
+    T0s, rounds = np.empty((2 * len(P.expected), 3)), np.empty(2 * len(P.expected), np.intp)
+    partners, seeds = np.empty((len(rounds), n1), np.intp), np.empty((len(rounds), n1), np.intp)
+    turns = np.empty(len(rounds))
+    free = np.full(n1, -1, np.intp)
+    g = 0
+    for h in range(len(P.expected)):
+        known = False
+        for e in range(g):
+            if not known and abs(wrap(P.T12s[h, 2] - turns[e])) < turn:
+                known = explains(partners[e], seeds[e], P.seeds[h])
+        if known:
+            continue
+        for start in (P.seeds[h], P.matches[h]):
+            partners[g], T0s[g], rounds[g] = stood_still(A, B, P.T12s[h], start, may, free, limits)
+            turns[g], seeds[g] = optimum(A, B, T0s[g], partners[g], limits)[2], P.seeds[h]
+            g += 1
+            if P.expected[h] < enough or (partners[g - 1] >= 0).sum() >= P.expected[h]:
+                break
+    return T0s[:g].copy(), rounds[:g].copy(), partners[:g].copy()
+
+
+@kernel
+def explains(partner, seed, other):
+    """Whether all the pairs of ``other`` are among those of ``partner`` and ``seed``; partners of landmarks (n1,)."""
+    return ((other < 0) | (partner == other) | (seed == other)).all()
+
+
+@kernel
+def all_at_rest(A, B, T0s, partners, prior_sigma):
+    """`at_rest` of g hypotheses with these partners of map 1's landmarks (g, n1), linearised at T0s (g, 3).
+
+    The matches of hypothesis h are those from ``begin[h]`` to ``begin[h + 1]`` of i and j, whose numbers stand one
+    hypothesis after the other, as do those of the covariances.
+    """
+    g, count = len(T0s), (partners >= 0).sum(axis=1)
+    begin, ends = np.zeros(g + 1, np.intp), np.zeros(g + 1, np.intp)
+    begin[1:], ends[1:] = np.cumsum(count), np.cumsum(9 * count * count)
+    i, j = np.empty(begin[-1], np.intp), np.empty(begin[-1], np.intp)
+    same, other = np.empty(begin[-1], np.intp), np.empty(begin[-1], np.intp)
+    shift, variance = np.empty(begin[-1]), np.empty(begin[-1])
+    C, r = np.empty(ends[-1]), np.empty(3 * begin[-1])
+    T12s, known = np.empty((g, 3)), np.empty((g, 3, 3))
+    p1, p2 = np.empty((g, len(A.xy), 2)), np.empty((g, len(B.xy), 2))
+    for h in range(g):
+        a, b = begin[h], begin[h + 1]
+        i[a:b], j[a:b] = sorted_pairs(partners[h])
+        same[a:b], other[a:b], shift[a:b], variance[a:b], own_C, r[3 * a : 3 * b], T12s[h], known[h], p1[h], p2[h] = (
+            at_rest(A, B, T0s[h], i[a:b], j[a:b], prior_sigma)
+        )
+        C[ends[h] : ends[h + 1]] = own_C.ravel()
+    return begin, i, j, same, other, shift, variance, C, r, T12s, known, p1, p2

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from mapfuse.datasets.arms import Kind, signature
 from mapfuse.datasets.maps import CORNER, SPATIAL_TYPES
 
-from .coverage import SeenArea, Segments, bare_crossings
+from .coverage import SeenArea, Segments, bare_crossings, passing_kernels
 from .prepared import PreparedMap
-from .regularity import Gaps, Regularity, evidence_kernels
+from .regularity import Gaps, Regularity, corridor_kernels
 
 Array = NDArray[np.float64]
 
@@ -83,12 +83,19 @@ class Background:
 
     @cached_property
     def ways(self) -> tuple[Any, Any]:
-        """Both maps' corridors as the compiled loops take them (`_evidence_kernels.Ways`)."""
+        """Both robots' ways as the compiled loops take them (`_passing_kernels.Ways`)."""
         sides = ((self.m1, self.corners1, self.spatial1), (self.m2, self.corners2, self.spatial2))
         one, two = (
-            evidence_kernels().Ways(m.positions, m.corridors, m.arm_headings, m.arm_passable, corners, spatial)
+            passing_kernels().Ways(m.positions, m.corridors, m.arm_headings, m.arm_passable, corners, spatial)
             for m, corners, spatial in sides
         )
+        return one, two
+
+    @cached_property
+    def corridors(self) -> tuple[Any, Any]:
+        """Both maps' corridors as the compiled loops take them (`_corridor_kernels.Corridors`)."""
+        of = corridor_kernels().Corridors
+        one, two = (of(m.positions, m.corridors, m.arm_headings, m.arm_passable) for m in (self.m1, self.m2))
         return one, two
 
     @cached_property
@@ -193,10 +200,10 @@ class Background:
 
     @cached_property
     def worth(self) -> Any:
-        """What matches along corridors are worth, as the compiled loops take it (`_evidence_kernels.Worth`)."""
+        """What matches along corridors are worth, as the compiled loops take it (`_corridor_kernels.Worth`)."""
         order = tuple(Kind)
         kind1, kind2 = (np.array([order.index(kind) for kind in kinds], dtype=np.intp) for kinds in self.kinds)
-        return evidence_kernels().Worth(
+        return corridor_kernels().Worth(
             *(self.points1, self.points2, self.there1, self.there2, kind1, kind2),
             *(self.rates1, self.ways1, self.rarity1, self.both1),
         )

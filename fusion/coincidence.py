@@ -6,30 +6,30 @@ plane (docs/evidence.md, "Why one dimension along corridors").
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from .background import Background
-from .elastic import PRIOR_SIGMA, Joined, growth_kernels
-from .regularity import evidence_kernels
+from .elastic import PRIOR_SIGMA, Joined, Several, growth_kernels
+from .regularity import corridor_kernels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-def corridor_matches(joined: Joined, background: Background, angle: float) -> tuple[float, float]:
-    """Matched corridor landmarks [nats]: density of the residual along the corridor, given those before; and what a
-    regular building takes off that. Corridors go straight on within ``angle`` [rad].
+def corridor_matches(several: Several, background: Background, angle: float) -> tuple[Array, Array]:
+    """Matched corridor landmarks of g hypotheses (g,) [nats]: density of the residual along the corridor, given those
+    before; and what a regular building takes off that. Corridors go straight on within ``angle`` [rad].
 
     The order and the corridors are those of either map; the mean of both, so that neither map is the first.
     """
-    regularity, arms = background.regularity(angle), joined.arms
-    matches, regular = evidence_kernels().on_corridors(
-        *(*background.ways, regularity.gaps1.table, regularity.gaps2.table, background.worth),
-        *(regularity.pitch, float(joined.T12[2]), joined.i, joined.j, arms.coincide, arms.contradict),
-        *(joined.covariance, joined.r, joined.corrected()[0]),
+    regularity, each = background.regularity(angle), several.each
+    coincide, contradict = (np.concatenate(side) for side in zip(*(one.arms_met for one in each), strict=True))
+    matches, regular = corridor_kernels().all_on_corridors(
+        *(*background.corridors, regularity.gaps1.table, regularity.gaps2.table, background.worth, regularity.pitch),
+        *(several.turns, several.begin, several.i, several.j, coincide, contradict),
+        *(np.concatenate([one.covariance.ravel() for one in each]), np.concatenate([one.r for one in each])),
+        several.p1,
     )
     return matches, regular
 
@@ -37,7 +37,7 @@ def corridor_matches(joined: Joined, background: Background, angle: float) -> tu
 def _in_order(joined: Joined, order: Index) -> tuple[Array, Array]:
     """Innovation (k, 3) and covariance (k, 3, 3) of each of the pairs ``order`` given those before it."""
     rows = (3 * order[:, None] + np.arange(3)).ravel()
-    found: tuple[Array, Array] = evidence_kernels().given_before(joined.covariance[np.ix_(rows, rows)], joined.r[rows])
+    found: tuple[Array, Array] = corridor_kernels().given_before(joined.covariance[np.ix_(rows, rows)], joined.r[rows])
     return found
 
 
@@ -57,13 +57,13 @@ def point_matches(joined: Joined, background: Background) -> float:
     return float((density[first:] + worth).sum())
 
 
-def corridor_prior(background: Background, overlap: float) -> float:
-    """Density of T12 before looking [nats per m], where corridors lie on corridors along ``overlap`` [m].
+def corridor_prior(background: Background, overlap: Array) -> Array:
+    """Density of T12 before looking (...) [nats per m], where corridors lie on corridors along ``overlap`` (...) [m].
 
     A random stretch of corridor 1 lies on a random stretch of corridor 2, in one of two directions.
     """
     lengths = [max(m.corridor_length, 1.0) for m in (background.m1, background.m2)]
-    return math.log(max(overlap, 1.0) / (2 * lengths[0] * lengths[1]))
+    return np.log(np.maximum(overlap, 1.0) / (2 * lengths[0] * lengths[1]))
 
 
 def point_prior(background: Background) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,20 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 
 from mapfuse.datasets import se2
+from mapfuse.datasets.compiled import kernels
 
 from .prepared import PreparedMap
-from .regularity import evidence_kernels
 from .tomap import OTHER_PATHS
 
 Array = NDArray[np.float64]
 
 #: Corridors cross by at least this angle [degrees], and this clear of every landmark and of their ends [m].
 CROSSING_DEG, CROSSING_CLEAR_M = 30.0, 2.5
+
+
+def passing_kernels() -> ModuleType:
+    """The compiled loops (`_passing_kernels`)."""
+    return kernels("_passing_kernels", __package__, "who passed what")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +48,7 @@ class Segments:
 def passed(points: Array, segments: Segments, width: float, margin: float = 0.0) -> NDArray[np.bool_]:
     """Which segments pass which points: lateral offset below ``width`` [m], inside the ends by ``margin`` [m];
     (points, segments)."""
-    by: NDArray[np.bool_] = evidence_kernels().passes(points, segments.start, segments.end, width, margin)
+    by: NDArray[np.bool_] = passing_kernels().passed(points, segments.start, segments.end, width, margin)[0]
     return by
 
 
@@ -52,7 +58,7 @@ def overlap_length(segments1: Segments, segments2: Segments, width: float, angle
     Symmetric: the mean of what map 1's links cover of map 2's and the reverse.
     """
     one, two = (segments1.start, segments1.end), (segments2.start, segments2.end)
-    cosine, covered = float(np.cos(angle)), evidence_kernels().covered
+    cosine, covered = float(np.cos(angle)), passing_kernels().covered
     return float(covered(*one, *two, width, cosine) + covered(*two, *one, width, cosine)) / 2
 
 
@@ -68,7 +74,7 @@ def bare_crossings(one: Segments, other: Segments, landmarks: Array) -> Array:
     """
     ends = (one.start, one.end, other.start, other.end)
     sine = float(np.sin(np.deg2rad(CROSSING_DEG)))
-    return np.asarray(evidence_kernels().crossings(*ends, landmarks, CROSSING_CLEAR_M, sine))
+    return np.asarray(passing_kernels().crossings(*ends, landmarks, CROSSING_CLEAR_M, sine))
 
 
 def _ways(prepared: PreparedMap) -> Array:
@@ -120,7 +126,7 @@ class SeenArea:
         low, high = self.centres.min(axis=0) - self.radius, self.centres.max(axis=0) + self.radius
         step = max(radius / 8, float((high - low).max()) / 400)
         shape = tuple(np.maximum(np.ceil((high - low) / step - 0.5), 1).astype(int).tolist())
-        painted = evidence_kernels().painted
+        painted = passing_kernels().painted
         inside = painted(self.centres, self.radius, low, step, shape)
         if other is not None:
             inside &= painted(other.centres, other.radius, low, step, shape)

@@ -8,19 +8,21 @@ The loops are compiled (`_growth_kernels`), and are those that grow a hypothesis
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mapfuse.datasets.compiled import kernels
 
 from .prepared import PreparedMap
-from .regularity import evidence_kernels
+from .regularity import corridor_kernels
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -116,6 +118,11 @@ class Joined:
         found: tuple[Any, ...] = growth_kernels().joined(*self._sides, self.T0, self.i, self.j, PRIOR_SIGMA)
         return found
 
+    @property
+    def arms_met(self) -> tuple[Index, Index]:
+        """How many arms of each pair meet one of the same, of the other passability (k,)."""
+        return self._at_rest[0], self._at_rest[1]
+
     @cached_property
     def arms(self) -> ArmOverlay:
         """Arms of the pairs laid on each other."""
@@ -177,5 +184,55 @@ class Joined:
 
     def sequential(self) -> tuple[Array, Array]:
         """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it, T12's prior included."""
-        found: tuple[Array, Array] = evidence_kernels().given_before(self.covariance, self.r)
+        found: tuple[Array, Array] = corridor_kernels().given_before(self.covariance, self.r)
         return found
+
+
+def joined_each(m1: PreparedMap, m2: PreparedMap, T0s: Array, partners: Index) -> list[Joined]:
+    """Two maps joined in g ways, linearised at ``T0s`` (g, 3).
+
+    ``partners`` (g, n1): of map 1's landmarks in map 2, -1 without.
+    """
+    found = growth_kernels().all_at_rest(side(m1), side(m2), T0s, partners, PRIOR_SIGMA)
+    begin, i, j, *arms, C, r, T12s, covariances, p1, p2 = found
+    joined, at = [], 0
+    for h, (a, b) in enumerate(pairwise(begin.tolist())):
+        rows, of = 3 * (b - a), slice(a, b)
+        own_C, at = C[at : at + rows * rows].reshape(rows, rows), at + rows * rows
+        known = (*(x[of] for x in arms), own_C, r[3 * a : 3 * b], T12s[h], covariances[h], p1[h], p2[h])
+        joined.append(Joined(m1, m2, T0s[h], i[of], j[of], known))
+    return joined
+
+
+@dataclass(frozen=True, eq=False)
+class Several:
+    """g hypotheses of one pair of maps, each with a match at least, as compiled loops take them all at once.
+
+    The matches of hypothesis h are those from ``begin[h]`` to ``begin[h + 1]`` of ``i`` and ``j``, ``begin`` (g + 1,).
+    ``T12s`` (g, 3): their T12, ``turns`` (g,) its rotation; ``p1`` (g, n1, 2), ``p2`` (g, n2, 2): where all landmarks
+    then are (`Joined.corrected`).
+    """
+
+    each: tuple[Joined, ...]
+    begin: Index
+    i: Index
+    j: Index
+    T12s: Array
+    turns: Array
+    p1: Array
+    p2: Array
+
+    @classmethod
+    def of(cls, joined: Iterable[Joined]) -> Several:
+        """Of one hypothesis at least."""
+        each = tuple(joined)
+        begin = np.zeros(len(each) + 1, dtype=np.intp)
+        np.cumsum([len(one.i) for one in each], out=begin[1:])
+        i, j = (np.concatenate([getattr(one, name) for one in each]) for name in ("i", "j"))
+        p1, p2 = (np.stack(side) for side in zip(*(one.corrected() for one in each), strict=True))
+        T12s = np.stack([one.T12 for one in each])
+        return cls(each, begin, i, j, T12s, T12s[:, 2].copy(), p1, p2)
+
+    def sums(self, of_matches: ArrayLike) -> Array:
+        """Sum (g,) over each one's matches of a number of every match (k,)."""
+        return np.asarray(np.add.reduceat(of_matches, self.begin[:-1]))

@@ -6,22 +6,25 @@ Derivation and what each term buys: docs/evidence.md. The terms are kept apart s
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import pairwise
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from mapfuse.datasets.arms import wrap
+from mapfuse.datasets.se2 import wrap
 
 from .background import Background
 from .coincidence import corridor_matches, corridor_prior, point_matches, point_prior
 from .config import EvidenceConfig
+from .elastic import Several
 from .growth import Growth
-from .passing import emptiness, passing_at, per_arm
+from .passing import per_arm, silences
 from .prepared import PreparedMap
-from .repetition import alias, another_floor, lacking_odds
+from .repetition import alias, another_floor, lacking_of_all
 
 Array = NDArray[np.float64]
 
@@ -123,63 +126,75 @@ class Weighed:
         return float(another_floor(self.lacking)) - self.terms.known - max(self.terms.stated, 0.0)
 
 
-def _normal_log(x: float, variance: float) -> float:
-    return -0.5 * x * x / variance - 0.5 * math.log(2 * math.pi * variance)
-
-
-def _compass(m1: PreparedMap, m2: PreparedMap, theta: float) -> float:
-    """log density of the rotation given both compasses, against any rotation."""
+def _compass(m1: PreparedMap, m2: PreparedMap, theta: Array) -> Array:
+    """log density of rotations (g,) given both compasses, against any rotation."""
     if m1.north is None or m2.north is None:
-        return 0.0
-    off = wrap(theta - (m1.north[0] - m2.north[0]))
+        return np.zeros(len(theta))
+    off = theta - (m1.north[0] - m2.north[0])
     variance = m1.north[1] ** 2 + m2.north[1] ** 2
-    quarters = [math.exp(_normal_log(wrap(off - k * math.pi / 2), variance)) for k in range(4)]
-    anyhow = (1 - ONE_GRID) / (2 * math.pi) + ONE_GRID * sum(quarters) / 4
-    return math.log((1 - STEEL_RATE) * quarters[0] + STEEL_RATE / (2 * math.pi)) - math.log(anyhow)
+    quarters = wrap(off[:, None] - np.arange(4) * (math.pi / 2))
+    density = np.exp(-0.5 * quarters**2 / variance) / math.sqrt(2 * math.pi * variance)
+    anyhow = (1 - ONE_GRID) / (2 * math.pi) + ONE_GRID * density.sum(axis=1) / 4
+    return np.asarray(np.log((1 - STEEL_RATE) * density[:, 0] + STEEL_RATE / (2 * math.pi)) - np.log(anyhow))
 
 
-def look_elsewhere(regular: float, distances: int, config: EvidenceConfig) -> float:
-    """What is taken off a hypothesis [nats], since many are tried and fit by what the model leaves out.
+def look_elsewhere(regular: ArrayLike, distances: ArrayLike, config: EvidenceConfig) -> Array:
+    """What is taken off a hypothesis (...) [nats], since many are tried and fit by what the model leaves out.
 
-    All of it where the building is regular, by what that takes off (``regular`` [nats], not above 0), or where too few
-    ``distances`` between landmarks are known to tell; down to half of it where they show none.
+    All of it where the building is regular, by what that takes off (``regular`` (...) [nats], not above 0), or where
+    too few ``distances`` (...) between landmarks are known to tell; down to half of it where they show none.
     """
-    irregular = max(1 + regular / REGULAR_NATS, 0.0) * min(distances / DISTANCES, 1.0)
-    return (1 - irregular / 2) * config.look_elsewhere
+    known = np.minimum(np.asarray(distances) / DISTANCES, 1.0)
+    irregular = np.maximum(1 + np.asarray(regular) / REGULAR_NATS, 0.0) * known
+    return np.asarray((1 - irregular / 2) * config.look_elsewhere)
 
 
 def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Weighed:
     """The evidence of a grown hypothesis."""
-    joined = growth.joined
-    way = passing_at(joined.T12, joined.corrected(), (joined.i, joined.j), background, config)
-    misses, void, arms, crossings = emptiness(way, background, config)
-    arms += per_arm(config) * int(joined.arms.contradict.sum())
-    compass = _compass(joined.m1, joined.m2, float(joined.T12[2]))
+    return weigh_all([growth], background, config)[0]
+
+
+def weigh_all(growths: Sequence[Growth], background: Background, config: EvidenceConfig) -> list[Weighed]:
+    """The evidence of grown hypotheses of one pair of maps, in a few compiled calls for all of them."""
+    if not growths:
+        return []
+    several = Several.of(g.joined for g in growths)
+    said = silences(several, background, config)
+    contradict = np.concatenate([one.arms_met[1] for one in several.each])
+    arms = said.arms + per_arm(config) * several.sums(contradict)
+    compass = _compass(background.m1, background.m2, several.turns)
     angle = math.radians(config.corridor_angle_deg)
-    matches, regular = corridor_matches(joined, background, angle)
-    on_corridors = not background.has_points or not background.points1[joined.i].all()
-    prior = corridor_prior(background, way.overlap) if on_corridors else point_prior(background)
-    searched = look_elsewhere(regular, background.regularity(angle).distances if on_corridors else 0, config)
-    terms = Terms(
-        prior=prior - searched,
-        matches=matches,
-        points=point_matches(joined, background),
-        regular=regular,
-        misses=misses,
-        void=void,
-        arms=arms,
-        crossings=crossings,
-        compass=compass,
+    matches, regular = corridor_matches(several, background, angle)
+    prior = corridor_prior(background, said.overlap)
+    distances = np.full(len(growths), background.regularity(angle).distances)
+    if background.has_points:
+        on_points = several.sums(~background.points1[several.i]) == 0
+        distances[on_points] = 0
+        if on_points.any():
+            prior[on_points] = point_prior(background)
+    searched = look_elsewhere(regular, distances, config)
+    points = [point_matches(one, background) for one in several.each]
+    columns = (prior - searched, matches, points, regular, said.misses, said.void, arms, said.crossings, compass)
+    terms = [Terms(*row) for row in np.column_stack(columns).tolist()]
+    lacking = lacking_of_all(
+        2 * np.diff(several.begin),
+        (said.missed1, 1 - background.unseen1),
+        (said.missed2, 1 - background.unseen2),
     )
-    hits = np.concatenate([background.recorded1[joined.i], background.recorded2[joined.j]])
-    gone = 1 - np.concatenate([background.unseen1[way.missed1], background.unseen2[way.missed2]])
-    return Weighed(
-        growth,
-        terms,
-        arms + crossings + compass,
-        lacking_odds(hits, gone),
-        tuple(way.missed1.tolist()),
-        tuple(way.missed2.tolist()),
-        *way.of_missed,
-        spared=config.look_elsewhere - searched,
-    )
+    apart = (arms + said.crossings + compass).tolist()
+    spared = (config.look_elsewhere - searched).tolist()
+    missed1, missed2 = _of_missed(said.missed1, said.through1), _of_missed(said.missed2, said.through2)
+    return [
+        Weighed(growth, of_terms, off, odds, one[0], two[0], one[1], two[1], left)
+        for growth, of_terms, off, odds, one, two, left in zip(
+            growths, terms, apart, lacking, missed1, missed2, spared, strict=True
+        )
+    ]
+
+
+def _of_missed(missed: NDArray[np.bool_], through: NDArray[np.intp]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Of every hypothesis the places of the missed landmarks, and through how many blocked arms of each was driven."""
+    of, k = missed.nonzero()
+    ends = np.searchsorted(of, np.arange(len(missed) + 1)).tolist()
+    places, arms = k.tolist(), through[of, k].tolist()
+    return [(tuple(places[a:b]), tuple(arms[a:b])) for a, b in pairwise(ends)]

@@ -15,13 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .config import SolvingConfig, chi2_gate
-from .elastic import NO_HEADING_SIGMA, PRIOR_SIGMA, Joined, growth_kernels, side
+from .elastic import NO_HEADING_SIGMA, PRIOR_SIGMA, Joined, growth_kernels, joined_each, side
 from .prepared import PreparedMap
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pairs = tuple[tuple[int, int], ...]
 
+#: So many proposed matches place map 2 by themselves.
+ENOUGH = 4
+#: Turned by so much [rad] against each other, two hypotheses are different answers although they share their pairs.
+ANOTHER_TURN = 0.5
 #: Taken off a match [nats] for every arm that meets one of the other passability.
 CONTRADICTION = 2.5
 
@@ -83,11 +87,36 @@ def grow(
     """
     may = compatible(m1, m2) if may_match is None else may_match
     start, fixed = (_partners(len(m1), pairs) for pairs in (seed, known))
-    limits = _limits(config.match_odds, config.gate_probability, config.max_rounds)
     i, j, T0, rounds, at_rest = growth_kernels().grown(
-        side(m1), side(m2), np.asarray(T12, dtype=float), start, may, fixed, limits
+        side(m1), side(m2), np.asarray(T12, dtype=float), start, may, fixed, _limits(config)
     )
     return Growth(Joined(m1, m2, T0, i, j, at_rest), rounds)
+
+
+def grow_distinct(
+    m1: PreparedMap,
+    m2: PreparedMap,
+    T12s: Array,
+    count: Index,
+    seeds: Index,
+    matches: Index,
+    config: SolvingConfig,
+    may_match: NDArray[np.bool_],
+) -> list[Growth]:
+    """Every distinct one of h hypotheses at ``T12s`` (h, 3) grown.
+
+    Those whose seed an earlier one explains are the same answer.
+
+    Where growth from the seed comes to fewer matches than were proposed, ``count`` (h,), it also starts from all of
+    these: a single heading that is off, or noise that is stated too small, would else lose the place. ``seeds``,
+    ``matches`` (h, n1): partners of map 1's landmarks, -1 without.
+    """
+    kernels = growth_kernels()
+    proposals = kernels.Proposals(T12s, count, seeds, matches)
+    T0s, rounds, partners = kernels.grown_all(
+        side(m1), side(m2), proposals, may_match, ENOUGH, ANOTHER_TURN, _limits(config)
+    )
+    return [Growth(one, n) for one, n in zip(joined_each(m1, m2, T0s, partners), rounds.tolist(), strict=True)]
 
 
 def _partners(n1: int, pairs: Pairs) -> Index:
@@ -98,8 +127,15 @@ def _partners(n1: int, pairs: Pairs) -> Index:
     return partner
 
 
-@cache
-def _limits(match_odds: float, gate_probability: float, max_rounds: int) -> Any:
+def _limits(config: SolvingConfig) -> Any:
     """What a match must pass (`_growth_kernels.Limits`)."""
-    gate2, gate3 = (float(chi2_gate(gate_probability, dof)) for dof in (2, 3))
-    return growth_kernels().Limits(float(match_odds), gate2, gate3, CONTRADICTION, max_rounds, PRIOR_SIGMA)
+    gate2, gate3 = _gates(config.gate_probability)
+    return growth_kernels().Limits(
+        float(config.match_odds), gate2, gate3, CONTRADICTION, config.max_rounds, PRIOR_SIGMA
+    )
+
+
+@cache
+def _gates(probability: float) -> tuple[float, float]:
+    """Chi-square gates of two and of three degrees of freedom."""
+    return float(chi2_gate(probability, 2)), float(chi2_gate(probability, 3))

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.transform import Transform
 from mapfuse.factors import pair_problem
 from mapfuse.matching.hypothesis import Hypothesis
@@ -19,8 +18,8 @@ from .background import Background
 from .config import FuseConfig, SolvingConfig
 from .decide import Verdict, decide
 from .elastic import Joined
-from .evidence import Weighed, weigh
-from .growth import Growth, Pairs, compatible, grow
+from .evidence import Weighed, weigh, weigh_all
+from .growth import Growth, Pairs, compatible, grow_distinct
 from .known import agreeing, check_known, credited, grow_known, known_pairs
 from .prepared import PreparedMap
 from .repetition import LACKING, alias, repeats
@@ -38,8 +37,6 @@ HOPELESS = 30.0
 #: building that repeats. Of 240 tuning pairs, 12 of each class of `benchmarks/calibration_pairs.py`, no answer of its
 #: own below both came above -1.9 nats.
 SPEAKS = 5.0
-#: So many proposed matches place map 2 by themselves.
-ENOUGH = 4
 #: How often the best hypotheses get graphs where walls speak; further ones are held against the walls without one.
 WALL_ROUNDS = 5
 #: Log odds against no overlap [nats] below which a rival is no image of another placement.
@@ -60,26 +57,26 @@ class PairOutcome:
 def grow_all(
     m1: PreparedMap, m2: PreparedMap, hypotheses: list[Hypothesis], config: SolvingConfig, known: Pairs = ()
 ) -> list[Growth]:
-    """Every distinct hypothesis grown; those whose seed an earlier one explains are the same answer.
+    """Every distinct hypothesis grown (`mapfuse.fusion.growth.grow_distinct`).
 
-    Where growth from the seed comes to fewer matches than were proposed, it also starts from all of these: a single
-    heading that is off, or noise that is stated too small, would else lose the place. Where landmarks are ``known`` to
-    be the same, they propose too.
+    From the pairs that proposed it or, where these have no heading, from all that match under it. Where landmarks are
+    ``known`` to be the same, they propose too.
     """
-    may = compatible(m1, m2, known)
-    grown: list[Growth] = []
-    explained: list[tuple[frozenset[tuple[int, int]], float]] = []
-    for hypothesis in hypotheses:
-        seed = _seed(m1, m2, hypothesis)
-        theta, of_seed = hypothesis.T12.theta, frozenset(seed)
-        if any(of_seed <= pairs and abs(wrap(theta - turn)) < 0.5 for pairs, turn in explained):
-            continue
-        growths = [grow(m1, m2, hypothesis.T12.array, seed, config, may)]
-        if len(growths[0].pairs) < hypothesis.count and hypothesis.count >= ENOUGH:
-            growths.append(grow(m1, m2, hypothesis.T12.array, _matches(m1, m2, hypothesis), config, may))
-        for growth in growths:
-            explained.append((growth.pairs | of_seed, float(growth.joined.T12[2])))
-            grown.append(growth)
+    seeds, matches = (np.full((len(hypotheses), len(m1)), -1, dtype=np.intp) for _ in range(2))
+    place1, place2 = m1.map.index_from_id, m2.map.index_from_id
+    headed1, headed2 = m1.headed.tolist(), m2.headed.tolist()
+    for seed, all_matches, hypothesis in zip(seeds, matches, hypotheses, strict=True):
+        for a, b in hypothesis.correspondences:
+            all_matches[place1[a]] = place2[b]
+        pairs = [(place1[a], place2[b]) for a, b in hypothesis.seed]
+        if hypothesis.correspondences and not all(headed1[i] and headed2[j] for i, j in pairs):
+            seed[:] = all_matches
+        else:
+            for i, j in pairs:
+                seed[i] = j
+    T12s = np.array([h.T12.array for h in hypotheses]).reshape(-1, 3)
+    count = np.array([h.count for h in hypotheses], dtype=np.intp)
+    grown = grow_distinct(m1, m2, T12s, count, seeds, matches, config, compatible(m1, m2, known))
     by_known = grow_known(m1, m2, known, config)
     grown = [by_known, *grown] if by_known is not None else grown
     return [g for g in grown if g.places_map2]
@@ -93,18 +90,6 @@ def _worth_growing(
         return hypotheses
     best = max((h.score for h in hypotheses), default=0.0)
     return [h for h in hypotheses if h.score > min(best - HOPELESS, SPEAKS)]
-
-
-def _seed(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> tuple[tuple[int, int], ...]:
-    """The pairs to grow from: what proposed the hypothesis, or, where that has no heading, all that match under it."""
-    seed = tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.seed)
-    if all(m1.headed[i] and m2.headed[j] for i, j in seed):
-        return seed
-    return _matches(m1, m2, hypothesis) or seed
-
-
-def _matches(m1: PreparedMap, m2: PreparedMap, hypothesis: Hypothesis) -> Pairs:
-    return tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in hypothesis.correspondences)
 
 
 def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
@@ -208,7 +193,7 @@ def fuse_pair(m1: PreparedMap, m2: PreparedMap, config: FuseConfig, stated: Tran
     hypotheses = _worth_growing(propose(m1.straightened, m2.straightened, config.matching), m1, m2, config)
     known = known_pairs(m1.map, m2.map)
     grown = grow_all(m1, m2, hypotheses, config.solving, known)
-    weighed = [told(weigh(g, background, config.evidence)) for g in grown]
+    weighed = [told(w) for w in weigh_all(grown, background, config.evidence)]
     weighed = distinct(weighed, config.matching.tolerance_m)
     verdict = judged(weighed, background, config)
     answers = list(verdict.ranked)

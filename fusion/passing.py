@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from .background import Background
 from .config import EvidenceConfig
-from .coverage import CROSSING_CLEAR_M, CROSSING_DEG
-from .regularity import evidence_kernels
+from .coverage import CROSSING_CLEAR_M, CROSSING_DEG, passing_kernels
+from .elastic import Several
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 #: A blocked arm of a landmark this close [m] to the end of a link isn't driven through: the link may turn there.
 END_MARGIN_M = 1.0
@@ -69,17 +70,16 @@ def passing_at(
     that both recorded, (k1,) and (k2,).
     """
     p1, p2 = (np.ascontiguousarray(p) for p in placed)
-    kernels, turn = evidence_kernels(), float(T12[2])
+    kernels, turn = passing_kernels(), float(T12[2])
     by1, by2, through1, through2, blocked, (clash1, clash2), overlap, crossed = kernels.passing(
         *background.ways, turn, p1, p2, *matched, _limits(config.corridor_width_m, config.corridor_angle_deg)
     )
     area_overlap = 0.0
     if background.has_points:
         # where both have a landmark of another kind the place was recorded, only differently
-        moved = background.area2.moved(T12)
-        by1 = np.where(background.points1, moved.contains(p1), by1)
-        by2 = np.where(background.points2, background.area1.contains(p2), by2)
-        area_overlap = background.area1.area(moved)
+        in_sight1, in_sight2, area_overlap = _seen_at(T12, p1, p2, background)
+        by1 = np.where(background.points1, in_sight1, by1)
+        by2 = np.where(background.points2, in_sight2, by2)
     by1[matched[0]], by2[matched[1]] = False, False
     missed1, missed2 = by1.nonzero()[0], by2.nonzero()[0]
     return Passing(missed1, missed2, blocked, through1, through2, clash1, clash2, crossed, overlap, area_overlap)
@@ -87,24 +87,84 @@ def passing_at(
 
 @cache
 def _limits(width_m: float, angle_deg: float) -> Any:
-    """When a robot passed a landmark, and when corridors cross (`_evidence_kernels.Limits`)."""
+    """When a robot passed a landmark, and when corridors cross (`_passing_kernels.Limits`)."""
     angle, sine = math.radians(angle_deg), math.sin(math.radians(CROSSING_DEG))
-    return evidence_kernels().Limits(float(width_m), angle, END_MARGIN_M, sine, CROSSING_CLEAR_M)
+    return passing_kernels().Limits(float(width_m), angle, END_MARGIN_M, sine, CROSSING_CLEAR_M)
 
 
 def emptiness(way: Passing, background: Background, config: EvidenceConfig) -> tuple[float, float, float, float]:
     """Misses, void, arms and crossings [nats]: what is said by what two robots did not see of each other's maps."""
     arm = per_arm(config)
-    misses, arms = evidence_kernels().silence(
+    misses, arms = passing_kernels().silence(
         *(background.m1.false, background.unseen1, way.missed1, way.through1),
         *(background.m2.false, background.unseen2, way.missed2, way.through2),
         *(way.clash1, way.clash2, arm),
     )
-    void = background.common * way.overlap
-    if way.area_overlap:
-        void += background.area_common * way.area_overlap
-    crossings = per_crossing(background) * way.crossed if way.crossed else 0.0
-    return misses, float(void), arms + arm * way.blocked, crossings
+    void, crossings = _void_and_crossings(background, way.overlap, way.area_overlap, way.crossed)
+    return misses, float(void), arms + arm * way.blocked, float(crossings)
+
+
+@dataclass(frozen=True, eq=False)
+class Silence:
+    """What g hypotheses say [nats] by what two robots did not see of each other's maps, (g,) each, as `emptiness`.
+
+    ``overlap`` (g,) [m]: corridor that both travelled. ``missed1`` (g, n1), ``missed2`` (g, n2): which landmarks the
+    other robot passed without recording them; ``through1``, ``through2``: through how many blocked arms of each.
+    """
+
+    misses: Array
+    void: Array
+    arms: Array
+    crossings: Array
+    overlap: Array
+    missed1: NDArray[np.bool_]
+    missed2: NDArray[np.bool_]
+    through1: Index
+    through2: Index
+
+
+def silences(several: Several, background: Background, config: EvidenceConfig) -> Silence:
+    """`passing_at` and `emptiness` of hypotheses of one pair of maps, all at once."""
+    in_sight, area_overlap = _seen_as_points(several, background)
+    of_maps = (
+        (background.m1, background.unseen1, background.points1),
+        (background.m2, background.unseen2, background.points2),
+    )
+    unseen = (
+        passing_kernels().Unseen(m.false, either, points, seen)
+        for (m, either, points), seen in zip(of_maps, in_sight, strict=True)
+    )
+    misses, arms, overlap, crossed, *who = passing_kernels().silences(
+        *(*background.ways, several.turns, several.p1, several.p2, several.begin, several.i, several.j),
+        *(*unseen, per_arm(config), _limits(config.corridor_width_m, config.corridor_angle_deg)),
+    )
+    void, crossings = _void_and_crossings(background, overlap, area_overlap, crossed)
+    return Silence(misses, void, arms, crossings, overlap, *who)
+
+
+def _seen_as_points(several: Several, background: Background) -> tuple[tuple[Flags, Flags], Array]:
+    """Which landmarks of map 1 (g, n1), of map 2 (g, n2) the other robot would have seen if they are points, and how
+    much area both robots saw (g,) [m^2]; nothing, where there are no points."""
+    in_sight1, in_sight2 = (np.zeros(p.shape[:2], dtype=bool) for p in (several.p1, several.p2))
+    area = np.zeros(len(several.each))
+    if background.has_points:
+        for h, T12 in enumerate(several.T12s):
+            in_sight1[h], in_sight2[h], area[h] = _seen_at(T12, several.p1[h], several.p2[h], background)
+    return (in_sight1, in_sight2), area
+
+
+def _seen_at(T12: Array, p1: Array, p2: Array, background: Background) -> tuple[Flags, Flags, float]:
+    """The same of one hypothesis."""
+    moved = background.area2.moved(T12)
+    return moved.contains(p1), background.area1.contains(p2), background.area1.area(moved)
+
+
+def _void_and_crossings(background: Background, overlap: Any, area_overlap: Any, crossed: Any) -> tuple[Any, Any]:
+    """What emptiness that both robots agree on says, and what corridors that cross bare take off (...) [nats]."""
+    void = background.common * overlap
+    if np.any(area_overlap):
+        void = void + background.area_common * area_overlap
+    return void, (per_crossing(background) if np.any(crossed) else 0.0) * crossed
 
 
 def per_crossing(background: Background) -> float:

@@ -25,7 +25,7 @@ from .prepared import PreparedMap
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# `_evidence_kernels` has those of rhythms and lines once more, since numba's cache looks at no other file.
+# `_corridor_kernels` has those of rhythms and lines once more, since numba's cache looks at no other file.
 #: Distances [m] along a corridor up to which landmarks are taken to stand in a rhythm.
 REACH_M = 25.0
 #: Two distances are the same to within this [m] and this share of them.
@@ -41,9 +41,9 @@ PITCH_ODDS = 10.0
 DOUBT = 2.0
 
 
-def evidence_kernels() -> ModuleType:
-    """The compiled loops (`_evidence_kernels`)."""
-    return kernels("_evidence_kernels", __package__, "what weighs a hypothesis")
+def corridor_kernels() -> ModuleType:
+    """The compiled loops (`_corridor_kernels`)."""
+    return kernels("_corridor_kernels", __package__, "what matches are worth")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Gaps:
     def of(cls, m: PreparedMap, label: Index, angle: float) -> Gaps:
         """Of a map whose landmarks have ``label`` (n,); corridors go straight on within ``angle`` [rad]."""
         spatial = np.array([name in SPATIAL_TYPES for name in m.map.types], dtype=bool)
-        pairs, distance, origin, exposure = evidence_kernels().gaps(
+        pairs, distance, origin, exposure = corridor_kernels().gaps(
             m.positions, m.corridors, REACH_M, float(np.cos(angle))
         )
         # what rather isn't there says nothing of the building's style
@@ -86,8 +86,8 @@ class Gaps:
 
     @cached_property
     def table(self) -> Any:
-        """The same as the compiled loops take it (`_evidence_kernels.Rhythm`)."""
-        return evidence_kernels().Rhythm(
+        """The same as the compiled loops take it (`_corridor_kernels.Rhythm`)."""
+        return corridor_kernels().Rhythm(
             self.pairs, self.distance, self.origin, self.exposure, self.start, self.label, self.spatial
         )
 
@@ -137,7 +137,7 @@ class Regularity:
         Matches (i, j) in the order in which they are come upon, standing ``at`` (k, 2) [m], each come upon in the
         direction ``along`` (k, 2); ``rate`` (k,) [1/m]: how common its label is anywhere.
         """
-        found: Array = evidence_kernels().shares(
+        found: Array = corridor_kernels().shares(
             self.gaps1.table, self.gaps2.table, i, j, at, along, rate, float(self.pitch)
         )
         return found

@@ -48,8 +48,18 @@ def lacking_odds(hits: Array, misses: Array) -> Array:
 
     ``hits``, ``misses``: probability q that a landmark there is recorded, for those that were and those that weren't.
     """
-    missed = np.add.reduce(np.log1p(-misses[:, None] * THERE), axis=0)
-    return np.asarray(len(hits) * LOG_THERE + missed - missed[0])  # the first lacks nothing
+    return np.asarray(lacking_of_all(np.array([len(hits)]), (np.ones((1, len(misses)), dtype=bool), misses))[0])
+
+
+def lacking_of_all(hits: Array, *missed: tuple[NDArray[np.bool_], Array]) -> Array:
+    """`lacking_odds` of g hypotheses (g, 6).
+
+    ``hits`` (g,): how many landmarks were recorded; ``missed``: of each map which weren't (g, n), and q (n,) of all.
+    """
+    log_missed = np.zeros((len(hits), len(LACKING)))
+    for which, q in missed:
+        log_missed += which @ np.log1p(-q[:, None] * THERE)
+    return np.asarray(hits[:, None] * LOG_THERE + (log_missed - log_missed[:, :1]))  # the first lacks nothing
 
 
 def alias(odds: Array, of_building: Array | None = None) -> Array:

@@ -15,10 +15,13 @@ from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.coverage import SeenArea, Segments, overlap_length, passed
 from mapfuse.fusion.elastic import PRIOR_SIGMA, Joined
-from mapfuse.fusion.evidence import DISTANCES, ONE_GRID, REGULAR_NATS, STEEL_RATE, look_elsewhere, weigh
+from mapfuse.fusion.evidence import DISTANCES, ONE_GRID, REGULAR_NATS, STEEL_RATE, look_elsewhere, weigh, weigh_all
 from mapfuse.fusion.growth import Growth, grow
-from mapfuse.fusion.passing import emptiness, passing_at
+from mapfuse.fusion.pair import grow_all
+from mapfuse.fusion.passing import emptiness, passing_at, per_arm
 from mapfuse.fusion.prepared import prepare
+from mapfuse.fusion.repetition import LACKING
+from mapfuse.matching import propose
 
 CONFIG, SOLVING = EvidenceConfig(), SolvingConfig()
 LENGTH = 20.0
@@ -451,3 +454,40 @@ def test_only_maps_that_show_no_rhythm_pay_less_for_the_search():
         == 0.75 * full
     )
     assert look_elsewhere(-100.0, DISTANCES, CONFIG) == look_elsewhere(0.0, 0, CONFIG) == full
+
+
+def with_trees(recorded, name, positions):
+    trees = (Landmark(f"{name}{k}", "tree", float(x), float(y)) for k, (x, y) in enumerate(positions))
+    return recorded.replace(landmarks=(*recorded.landmarks, *trees))
+
+
+@pytest.mark.parametrize(("seed", "kind", "trees"), [(31, "irregular", 0), (32, "symmetric", 0), (33, "irregular", 9)])
+def test_all_hypotheses_at_once_weigh_what_each_does_alone(seed, kind, trees):
+    map1, map2, truth = simulated_pair(seed, kind, compass=True)
+    at = np.random.default_rng(seed).uniform(0, 30, (trees, 2))
+    map1 = with_trees(map1, "t", at)
+    map2 = with_trees(map2, "u", se2.transform(truth.T12("A", "B").inverse().array, at[1:]))
+    m1, m2 = prepare(map1, SOLVING), prepare(map2, SOLVING)
+    background = Background(m1, m2)
+    growths = grow_all(m1, m2, propose(m1.straightened, m2.straightened), SOLVING)
+    together = weigh_all(growths, background, CONFIG)
+    assert len(together) > 10
+    assert weigh_all([], background, CONFIG) == []
+    for growth, found in zip(growths, together, strict=True):
+        alone = weigh(growth, background, CONFIG)
+        assert asdict(found.terms) == pytest.approx(asdict(alone.terms), rel=1e-12, abs=1e-12)
+        # and what was passed, by the functions that look at one placement
+        joined = growth.joined
+        way = passing_at(joined.T12, joined.corrected(), (growth.i, growth.j), background, CONFIG)
+        misses, void, arms, crossings = emptiness(way, background, CONFIG)
+        arms += per_arm(CONFIG) * joined.arms.contradict.sum()
+        terms = found.terms
+        assert (terms.misses, terms.void, terms.arms, terms.crossings) == pytest.approx((misses, void, arms, crossings))
+        assert found.missed1 == alone.missed1 == tuple(way.missed1)
+        assert found.missed2 == alone.missed2 == tuple(way.missed2)
+        assert (found.through1, found.through2) == (alone.through1, alone.through2) == way.of_missed
+        hits = np.concatenate([background.recorded1[growth.i], background.recorded2[growth.j]])
+        gone = 1 - np.concatenate([background.unseen1[way.missed1], background.unseen2[way.missed2]])
+        by_hand = [len(hits) * np.log(1 - s) + np.log((1 - gone * (1 - s)) / (1 - gone)).sum() for s in LACKING]
+        assert found.lacking == pytest.approx(by_hand)
+        assert found.apart == pytest.approx(terms.arms + terms.crossings + terms.compass)

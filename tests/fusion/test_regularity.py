@@ -12,9 +12,9 @@ from mapfuse.fusion import regularity as regular
 from mapfuse.fusion.background import Background
 from mapfuse.fusion.coincidence import corridor_matches
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
-from mapfuse.fusion.elastic import Joined
+from mapfuse.fusion.elastic import Joined, Several
 from mapfuse.fusion.prepared import prepare
-from mapfuse.fusion.regularity import DOUBT, ON_A_LINE, Gaps, Regularity, evidence_kernels, pitch_of
+from mapfuse.fusion.regularity import DOUBT, ON_A_LINE, Gaps, Regularity, corridor_kernels, pitch_of
 
 ANGLE = float(np.deg2rad(EvidenceConfig().corridor_angle_deg))
 WEST, EAST, NORTH = np.pi, 0.0, np.pi / 2
@@ -41,13 +41,13 @@ def met(gaps, a, b, at, own):
     """How often b stands ``at`` [m] from a, and how often it could, where there is no pitch."""
     within = regular.SAME_DISTANCE_M + regular.SAME_DISTANCE_SHARE * at
     distances = (gaps.pairs, gaps.distance, gaps.origin, gaps.exposure, gaps.start, gaps.label)
-    return regular.evidence_kernels().times_met(*distances, a, b, at, within, 0.0, own)
+    return regular.corridor_kernels().times_met(*distances, a, b, at, within, 0.0, own)
 
 
 def test_the_compiled_loops_hold_the_same_constants():
     names = ("REACH_M", "SAME_DISTANCE_M", "SAME_DISTANCE_SHARE", "ON_A_LINE", "LINE_WIDTH_M", "DOUBT")
     for name in names:
-        assert getattr(regular.evidence_kernels(), name) == getattr(regular, name)
+        assert getattr(regular.corridor_kernels(), name) == getattr(regular, name)
 
 
 @pytest.mark.parametrize("pitch", [6.0, 9.5, 12.3])
@@ -170,12 +170,12 @@ def test_a_match_in_a_rhythm_is_worth_less_by_what_the_rhythm_says():
     joined = Joined(m1, m2, np.zeros(3), both, both)
     background = Background(m1, m2)
     corridors = (m1.positions, m1.corridors, m1.arm_headings, m1.arm_passable)
-    order, along = evidence_kernels().visited(*corridors, both)
+    order, along = corridor_kernels().visited(*corridors, both)
     share = background.regularity(ANGLE).shares(order, order, m1.positions[order], along, background.rates1[order])
     assert share[1] > 0.1
     # each map knows the 3 m between the two by one reading, and two robots mean the same place to 0.05 m
     density = norm.pdf(0.0, scale=np.sqrt(2 * (0.1 + 0.02 * 3) ** 2 + 2 * 0.05**2))
-    _, regular = corridor_matches(joined, background, ANGLE)
+    _, (regular,) = corridor_matches(Several.of([joined]), background, ANGLE)
     # and the emptiness that both agree on counts the place once already: both record a door with 0.92 each
     once = share[1] * 0.92**2
     assert regular == pytest.approx(-np.log1p(share[1] * density / background.rates1[order[1]]) - once, rel=1e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mapfuse.datasets import se2
@@ -12,6 +13,7 @@ from mapfuse.datasets.simulation import simulated_pair
 from mapfuse.datasets.transform import Transform
 from mapfuse.fusion import fuse
 from mapfuse.fusion.config import FuseConfig
+from mapfuse.fusion.elastic import Joined
 from mapfuse.fusion.growth import grow
 from mapfuse.fusion.pair import HOPELESS, SPEAKS, _worth_growing, grow_all
 from mapfuse.fusion.prepared import prepare
@@ -75,3 +77,48 @@ def test_a_seed_whose_heading_is_off_does_not_lose_the_place(seed):
         lost += len(grow(m1, m2, best.T12.array, (pair,), CONFIG.solving).pairs) < best.count / 2
         assert max(len(g.pairs) for g in grow_all(m1, m2, [hypothesis], CONFIG.solving)) >= 0.7 * best.count
     assert lost
+
+
+@pytest.mark.parametrize(("seed", "kind"), [(41, "irregular"), (42, "symmetric"), (43, "alike")])
+def test_growing_all_at_once_is_growing_one_after_the_other(seed, kind):
+    map1, map2, _ = simulated_pair(seed, kind)
+    m1, m2 = prepare(map1, CONFIG.solving), prepare(map2, CONFIG.solving)
+    # each proposal twice, the second time the other way about: the same answer, unless it is turned
+    proposed = []
+    for hypothesis in propose(m1.straightened, m2.straightened):
+        turned = replace(hypothesis.T12, theta=float(se2.wrap(hypothesis.T12.theta + np.pi)))
+        proposed += [hypothesis, hypothesis, replace(hypothesis, T12=turned)]
+
+    def places(pairs):
+        return tuple((m1.map.index_from_id[a], m2.map.index_from_id[b]) for a, b in pairs)
+
+    expected, explained = [], []
+    for h in proposed:
+        seed_pairs, turn = set(places(h.seed)), h.T12.theta
+        if not all(m1.headed[i] and m2.headed[j] for i, j in seed_pairs):
+            seed_pairs = set(places(h.correspondences))
+        if any(seed_pairs <= pairs and abs(se2.wrap(turn - other)) < 0.5 for pairs, other in explained):
+            continue
+        grown = [grow(m1, m2, h.T12.array, tuple(seed_pairs), CONFIG.solving)]
+        if len(grown[0].pairs) < h.count and h.count >= 4:
+            grown.append(grow(m1, m2, h.T12.array, places(h.correspondences), CONFIG.solving))
+        explained += [(growth.pairs | seed_pairs, growth.joined.T12[2]) for growth in grown]
+        expected += grown
+    expected = [growth for growth in expected if growth.places_map2]
+    found = grow_all(m1, m2, proposed, CONFIG.solving)
+    assert [(g.pairs, g.rounds) for g in found] == [(g.pairs, g.rounds) for g in expected]
+    assert 10 < len(found) < len(proposed)
+    for one, other in zip(found, expected, strict=True):
+        # what was worked out together with all others is what each gives alone, worked out anew
+        anew = Joined(m1, m2, one.joined.T0, one.i, one.j)
+        for joined in (other.joined, anew):
+            np.testing.assert_allclose(one.joined.T12, joined.T12, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(one.joined.T12_covariance, joined.T12_covariance, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(one.joined.covariance, joined.covariance, rtol=1e-10, atol=1e-9)
+            np.testing.assert_allclose(one.joined.r, joined.r, rtol=0, atol=1e-9)
+            for at, there in zip(one.joined.corrected(), joined.corrected(), strict=True):
+                np.testing.assert_allclose(at, there, rtol=0, atol=1e-9)
+            for name in ("coincide", "contradict", "shift", "variance"):
+                np.testing.assert_allclose(
+                    getattr(one.joined.arms, name), getattr(joined.arms, name), rtol=0, atol=1e-9
+                )
