@@ -38,6 +38,14 @@ class Due:
             segment.changed.clear()
         self.new.clear()
 
+    def unsettle(self, before: Mapping[str, LandmarkMap | None], segments: Mapping[str, Segment]) -> None:
+        """Maps of ``before``, as they had been weighed before (None: not at all), have not been weighed after all."""
+        for name, recorded in before.items():
+            self.weighed.pop(name, None)
+            if recorded is not None:
+                self.weighed[name] = recorded
+            self.new[name] = max(self.new.get(name, 0), segments[name].size)
+
     def now(self, segments: Mapping[str, Segment], fused: FusedMap | None, rivals: Rivals) -> bool:
         """Whether to weigh now.
 

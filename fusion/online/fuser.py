@@ -8,16 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mapfuse.datasets.errors import MapfuseError
+from mapfuse.datasets.errors import MapError, MapfuseError, Problem, TooLargeError
 from mapfuse.datasets.maps import LandmarkMap, Noise
 
-from ..groups import provenance_of
+from ..groups import LARGEST_MAP_M, provenance_of
+from ..prepared import MAX_LANDMARKS
 from ..result import FusedMap
 from .config import OnlineConfig
 from .due import Due
 from .events import Event, happened
 from .judge import Judge
-from .messages import Message, check_message
+from .messages import Correction, LandmarkSeen, Message, check_message
 from .place import Place, placed_in
 from .rivals import Rival, Rivals
 from .segment import Counters, Segment
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 #: Events that wait to be read; the oldest are dropped where nobody reads them.
 MAX_WAITING = 10_000
+#: After so many messages an answer of the worker is taken up whatever the clock says.
+MOST_UNANSWERED = 500
 
 
 class OnlineFuser:
@@ -68,6 +71,8 @@ class OnlineFuser:
         self._fused_at = float("-inf")
         self._events: deque[Event] = deque(maxlen=MAX_WAITING)
         self._worker: Worker | None = None
+        self._asked: dict[str, LandmarkMap | None] = {}
+        self._since_asked = 0
         if worker:
             from .worker import Worker
 
@@ -78,24 +83,31 @@ class OnlineFuser:
     def add_robot(self, name: str, noise: Noise | None = None) -> None:
         """A robot that will send messages, and what it is known to be; one that sends a `Correction` needs no adding.
 
-        Raises `MapfuseError` for an empty name.
+        Raises `MapfuseError` for an empty name, and for one that another robot's later frame has.
         """
         if not name:
             raise MapfuseError("a robot needs a name")
-        self.noise[name] = noise or self.noise.get(name) or Noise()
-        if name not in self.segments:
-            self._segment(name, 0)
+        self._segment(name, 0)
+        if noise is not None:
+            self.noise[name] = noise
+            for segment in self.segments.values():
+                if segment.robot == name:
+                    segment.known_as(noise)
+        self.noise.setdefault(name, Noise())
 
     def take(self, message: Message) -> None:
         """Take a message in: the map it is of, its rivals' votes, and the smoother follow; nothing is weighed.
 
         Raises `MapError` for a landmark, link or map that breaks a rule of ``mapfuse.map/1``, and `TooLargeError` for a
-        map of more landmarks than can be weighed; nothing of that message is then taken in.
+        map of more landmarks than can be weighed; nothing of that message is then taken in. `MapfuseError` for a robot
+        that is named as another one's later frame is.
         """
         check_message(message)
         segment = self._segment(message.robot, message.frame)
+        _check_weighable(message, segment)
         touched = segment.take(message)
         self.time = max(self.time, message.t)
+        self._since_asked += 1
         if touched:
             self._rivals.changed(segment, touched)
             self._smoother.changed(segment, touched)
@@ -103,7 +115,13 @@ class OnlineFuser:
 
     def _segment(self, robot: str, frame: int) -> Segment:
         made = Segment(robot, frame, self.noise.get(robot, Noise()))
-        return self.segments.setdefault(made.name, made)
+        segment = self.segments.setdefault(made.name, made)
+        if (segment.robot, segment.frame) != (robot, frame):
+            raise MapfuseError(
+                f"robot {robot!r} in frame {frame} and {segment.robot!r} in frame {segment.frame} would both be named "
+                f"{made.name!r}: later frames are named so, and robots must not be"
+            )
+        return segment
 
     # Weighing
 
@@ -131,24 +149,36 @@ class OnlineFuser:
             return self._weigh_here()
         answered = self._worker.busy and (force or self._is_time(self._worker))
         if answered:
-            asked_at, fused = self._worker.answer()
-            self._adopt(fused, asked_at)
+            self._take_up(self._worker)
         if force and self._changed():
-            self._worker.ask(self._changed(), self.time)
-            self._settle()
-            asked_at, fused = self._worker.answer()
-            self._adopt(fused, asked_at)
+            self._ask(self._worker)
+            self._take_up(self._worker)
             return True
         if self.due:
-            self._worker.ask(self._changed(), self.time)
-            self._settle()
+            self._ask(self._worker)
         return answered
 
+    def _ask(self, worker: Worker) -> None:
+        """Have what is new weighed."""
+        changed = self._changed()
+        worker.ask(changed, self.time)
+        self._asked, self._since_asked = {name: self.due_state.weighed.get(name) for name in changed}, 0
+        self._settle()
+
+    def _take_up(self, worker: Worker) -> None:
+        """Take up the answer. Where there is none, what was asked is as new as before."""
+        try:
+            asked_at, fused = worker.answer()
+        except MapfuseError:
+            self.due_state.unsettle(self._asked, self.segments)
+            raise
+        self._adopt(fused, asked_at)
+
     def _is_time(self, worker: Worker) -> bool:
-        """Whether to take up what the worker was asked."""
+        """Whether to take up what the worker was asked; a clock that had jumped ahead mustn't keep it for ever."""
         if self.config.delay is None:
             return worker.ready
-        return self.time >= worker.asked_at + self.config.delay
+        return self.time >= worker.asked_at + self.config.delay or self._since_asked >= MOST_UNANSWERED
 
     def _changed(self) -> dict[str, LandmarkMap]:
         """Maps that are not what they were at the last weighing, by name."""
@@ -279,3 +309,24 @@ class OnlineFuser:
         """End the worker, if there is one."""
         if self._worker is not None:
             self._worker.close()
+
+
+def _check_weighable(message: Message, segment: Segment) -> None:
+    """Raise `MapError`, `TooLargeError` where the map could not be weighed with what a message says."""
+    if isinstance(message, Correction):
+        count = len(message.map)
+    elif isinstance(message, LandmarkSeen) and segment.landmark(message.landmark.id) is None:
+        count = segment.size + 1
+    else:
+        count = 0
+    if count > MAX_LANDMARKS:
+        raise TooLargeError(
+            f"message {message.sequence} of {message.robot!r}: its map would have {count} landmarks; maps of up to "
+            f"{MAX_LANDMARKS} can be merged while they grow"
+        )
+    anywhere = segment.anywhere
+    if isinstance(message, LandmarkSeen) and anywhere is not None:
+        landmark = message.landmark
+        if max(abs(landmark.x - anywhere[0]), abs(landmark.y - anywhere[1])) > LARGEST_MAP_M / 2:
+            reason = f"lies more than {LARGEST_MAP_M / 2000:g} km from other landmarks of its map"
+            raise MapError(message.robot, (Problem("landmarks[0]", f"{landmark.id!r} {reason}"),))

@@ -61,6 +61,19 @@ class Segment:
         """The robot's name, and from its second frame on which one it is."""
         return self.robot if self.frame == 0 else f"{self.robot}~{self.frame + 1}"
 
+    @property
+    def anywhere(self) -> tuple[float, float] | None:
+        """Where one of its landmarks is [m]; None without any."""
+        landmarks = self.base.landmarks if self.base is not None else ()
+        sent = (r.landmark for r in self.records.values() if r.landmark is not None)
+        some = next(iter(landmarks), None) or next(sent, None)
+        return None if some is None else (some.x, some.y)
+
+    def known_as(self, noise: Noise) -> None:
+        """What the robot is known to be; a correction says so itself."""
+        if self.base is None:
+            self.noise, self._map = noise, None
+
     def take(self, message: Message) -> tuple[str, ...]:
         """Take a message in; ids of the landmarks that it changes."""
         self.counters.messages += 1

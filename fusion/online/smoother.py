@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 #: A joint covariance of more landmarks than this is left to the weighing: here their links stand for it.
 MOST_JOINT = 150
 _PINNED = 1.0
+#: A frame that is held at its own origin lies this close to it [m, rad].
+_AT_HOME = 1e-6
 
 Match: TypeAlias = tuple[LandmarkKey, LandmarkKey]
 
@@ -177,6 +179,9 @@ class Smoother:
             for group in groups
             for name in group[1:]
         )
+        # who stood in another's frame and is alone again, or the first of its group, has its own from now on
+        firsts = [self.tree.pose(FrameKey(self._held[group[0]].number)) for group in groups]
+        elsewhere |= any(np.abs(pose).max() > _AT_HOME for pose in firsts)
         for match in [m for m in self._matches if m not in wanted]:
             self.tree.put(self._matches.pop(match), ())
         self._groups = groups

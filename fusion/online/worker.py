@@ -31,9 +31,12 @@ class Worker:
         self.asked_at = float("-inf")
 
     def ask(self, changed: Mapping[str, LandmarkMap], at: float) -> None:
-        """Have these maps weighed, as of time ``at`` [s]."""
+        """Have these maps weighed, as of time ``at`` [s]. Raises `MapfuseError` where the process has ended."""
         assert not self.busy
-        self._here.send(dict(changed))
+        try:
+            self._here.send(dict(changed))
+        except OSError as error:
+            raise MapfuseError("the process that weighs has ended") from error
         self.busy, self.asked_at = True, at
 
     @property
@@ -45,7 +48,7 @@ class Worker:
         """The time that was asked at, and the answer. Raises what the weighing raised."""
         try:
             found = self._here.recv()
-        except EOFError as error:
+        except (EOFError, OSError) as error:
             raise MapfuseError("the process that weighs has ended") from error
         finally:
             self.busy = False

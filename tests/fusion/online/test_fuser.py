@@ -17,6 +17,8 @@ from mapfuse.datasets import (
     Link,
     MapError,
     MapfuseError,
+    Noise,
+    TooLargeError,
     read_map,
     recordings,
     se2,
@@ -33,6 +35,7 @@ from mapfuse.fusion.online import (
     event_to_dict,
     write_events,
 )
+from mapfuse.fusion.online.judge import Judge
 
 
 def scene(name):
@@ -376,3 +379,116 @@ def test_weighing_in_another_process_gives_the_same_answer(floor, landmarks_of):
         finally:
             fuser.close()
     same_answer(answers[1], answers[0])
+
+
+# What robots and processes do wrong ----------------------------------------------------------------------------------
+
+
+def test_a_map_that_is_parted_again_has_a_frame_of_its_own(floor, whole):
+    """Nothing of the merge is left: pose and landmarks are where their robot says, not where they had been laid."""
+    fuser = OnlineFuser()
+    one, two = floor
+    for m in floor:
+        fuser.take(whole(m))
+        C = np.eye(3) * 0.01
+        fuser.take(Placed(robot=m.name, sequence=1, t=0.0, pose=np.array([1.0, 2.0, 0.3]), covariance=C))
+    fuser.advance(force=True)
+    assert np.abs(fuser.current.frame(two.name).array[:2]).max() > 1.0
+    elsewhere = read_map(recordings.path("south-building-milka")).replace(name=two.name)
+    fuser.take(whole(elsewhere, sequence=2, t=1.0))
+    fuser.advance(force=True)
+    assert len(fuser.fused().groups) == 2
+    assert fuser.places()[two.name].frame_of == two.name
+    assert fuser.places()[two.name].pose.array == pytest.approx([1.0, 2.0, 0.3], abs=1e-6)
+    for landmark in fuser.fused().landmarks:
+        for identifier in landmark.sources.get(two.name, ()):
+            now = fuser.current.landmarks(two.name)[identifier]
+            assert now[:2] == pytest.approx([landmark.x, landmark.y], abs=0.05)
+    assert fuser.current.frame(one.name).array == pytest.approx(np.zeros(3), abs=1e-6)
+
+
+def door(name, x):
+    return Landmark(name, "door", x, 0.0, covariance=np.eye(2) * 0.01)
+
+
+def test_what_could_not_be_weighed_is_refused_when_it_comes(floor, whole):
+    fuser = OnlineFuser()
+    for m in floor:
+        fuser.take(whole(m))
+    fuser.take(LandmarkSeen(robot="x", sequence=0, t=0.0, landmark=door("p", 0.0)))
+    with pytest.raises(MapError, match="'q' lies more than 500 km"):
+        fuser.take(LandmarkSeen(robot="x", sequence=1, t=0.0, landmark=door("q", 3e6)))
+    many = LandmarkMap("y", tuple(door(f"d{k}", 3.0 * k) for k in range(1001)))
+    with pytest.raises(TooLargeError, match="1001 landmarks; maps of up to 1000"):
+        fuser.take(whole(many))
+    fuser.take(whole(many.replace(landmarks=many.landmarks[:1000])))
+    with pytest.raises(TooLargeError, match="1001 landmarks"):
+        fuser.take(LandmarkSeen(robot="y", sequence=9, t=1.0, landmark=door("one more", 3.0)))
+    fuser.take(LandmarkSeen(robot="y", sequence=9, t=1.0, landmark=door("d3", 9.1)))
+    assert fuser.segments["x"].map().ids == ("p",)
+    assert fuser.segments["y"].map()["d3"].x == 9.1
+
+
+def test_a_robot_is_known_when_it_is_added_even_if_it_spoke_before():
+    fuser = OnlineFuser()
+    fuser.take(LandmarkSeen(robot="a", sequence=0, t=0.0, landmark=door("p", 0.0)))
+    fuser.add_robot("a", Noise(detection_rate=0.5))
+    fuser.take(LandmarkSeen(robot="a", sequence=1, t=1.0, frame=1, landmark=door("p", 0.0)))
+    assert [segment.map().noise.detection_rate for segment in fuser.segments.values()] == [0.5, 0.5]
+    fuser.add_robot("a")  # says nothing new
+    assert fuser.segments["a"].map().noise.detection_rate == 0.5
+
+
+def test_a_robot_that_is_named_as_anothers_later_frame_is_refused():
+    fuser = OnlineFuser()
+    fuser.take(LandmarkSeen(robot="a", sequence=0, t=0.0, frame=1, landmark=door("p", 0.0)))
+    with pytest.raises(MapfuseError, match="both be named 'a~2'"):
+        fuser.take(LandmarkSeen(robot="a~2", sequence=0, t=0.0, landmark=door("q", 5.0)))
+    with pytest.raises(MapfuseError, match="both be named 'a~2'"):
+        fuser.add_robot("a~2")
+    assert fuser.segments["a~2"].map().ids == ("p",)
+
+
+class Beside:
+    """A worker in this process, which answers when it is asked for it, and fails as often as it is told to."""
+
+    def __init__(self, config, failures=0):
+        self.judge, self.failures, self.busy, self.asked_at = Judge(config.fuse), failures, False, -np.inf
+
+    def ask(self, changed, at):
+        self.changed, self.busy, self.asked_at = dict(changed), True, at
+
+    def answer(self):
+        self.busy = False
+        if self.failures:
+            self.failures -= 1
+            raise MapfuseError("the process that weighs has ended")
+        return self.asked_at, self.judge.weigh(self.changed)
+
+
+def test_what_a_worker_failed_to_weigh_is_weighed_when_it_is_asked_again(floor, whole):
+    fuser = OnlineFuser()
+    fuser._worker = Beside(fuser.config, failures=1)
+    for m in floor:
+        fuser.take(whole(m))
+    with pytest.raises(MapfuseError, match="has ended"):
+        fuser.advance(force=True)
+    assert fuser.advance(force=True)
+    assert fuser.fused().decision == "merged"
+
+
+def test_a_clock_that_jumps_ahead_does_not_keep_the_workers_answer(floor, landmarks_of, whole, monkeypatch):
+    monkeypatch.setattr("mapfuse.fusion.online.fuser.MOST_UNANSWERED", 8)
+    fuser = OnlineFuser(OnlineConfig(delay=4.0))
+    fuser._worker = Beside(fuser.config)
+    one, two = floor
+    fuser.take(whole(one, t=1.0))
+    fuser.take(whole(two, t=1e6))
+    fuser.advance()
+    assert fuser.waiting
+    answered = []
+    for message in landmarks_of(one, first=10)[:8]:
+        fuser.take(message)
+        answered.append(fuser.advance())
+    assert answered == [False] * 7 + [True]
+    assert fuser.fused().decision == "merged"
