@@ -6,6 +6,7 @@ end of corridor. Nothing here assumes right angles: oblique corridors, and arms 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -45,40 +46,42 @@ class ArmSignature:
     """Arms of one landmark whose direction is known, counter-clockwise from the smallest heading.
 
     ``headings`` [rad, map frame] and ``passable`` (open or door: a corridor goes on there) are parallel, as are
-    ``links``: the place of each arm among the landmark's links.
+    ``links``: the place of each arm among the landmark's links. ``heading`` [rad, map frame]: direction of the
+    landmark, that of its reference arm, averaged over all arms (`_direction`); None without arms.
     """
 
     kind: Kind
     headings: tuple[float, ...]
     passable: tuple[bool, ...]
     links: tuple[int, ...]
+    heading: float | None
 
     @property
     def symmetry(self) -> int:
         """Number of turns (of quarter or half circle) that map the kind onto itself: a crossing has four."""
         return {Kind.CROSSING: 4, Kind.CORRIDOR: 2}.get(self.kind, 1)
 
-    @property
-    def heading(self) -> float | None:
-        """Direction [rad, map frame] of the landmark: that of its reference arm, averaged over all arms.
 
-        The mean of what each arm says, modulo quarter turns, so that each arm's error counts 1/k where corridors
-        meet at right angles. An arm that is off the quarter turns by r counts ``max(0, cos 4r)``: rounding alone
-        would let the heading of a 45 degree bend jump by 22.5 degrees with the noise.
-        """
-        if not self.headings:
-            return None
-        reference = self.headings[_reference_arm(self.passable, self.headings)]
-        total = counted = 0.0
-        for heading in self.headings:
-            off = heading - reference
-            left = off - QUARTER * round(off / QUARTER)
-            weight = max(0.0, cos(4 * left))
-            total, counted = total + weight * left, counted + weight
-        return wrap(reference + total / counted)
+def _direction(passable: Sequence[bool], headings: Sequence[float]) -> float | None:
+    """Direction [rad, map frame] of a landmark: that of its reference arm, averaged over all arms; None without arms.
+
+    The mean of what each arm says, modulo quarter turns, so that each arm's error counts 1/k where corridors
+    meet at right angles. An arm that is off the quarter turns by r counts ``max(0, cos 4r)``: rounding alone
+    would let the heading of a 45 degree bend jump by 22.5 degrees with the noise.
+    """
+    if not headings:
+        return None
+    reference = headings[_reference_arm(passable, headings)]
+    total = counted = 0.0
+    for heading in headings:
+        off = heading - reference
+        left = off - QUARTER * round(off / QUARTER)
+        weight = max(0.0, cos(4 * left))
+        total, counted = total + weight * left, counted + weight
+    return wrap(reference + total / counted)
 
 
-def _reference_arm(passable: tuple[bool, ...], headings: tuple[float, ...]) -> int:
+def _reference_arm(passable: Sequence[bool], headings: Sequence[float]) -> int:
     """The arm whose direction stands for the landmark: the passable one that follows the widest gap without one.
 
     For an end the open arm, for a corner the clockwise one of its two; where all gaps are alike (a crossing) the
@@ -120,7 +123,8 @@ def _signature(type_: str, links: tuple[tuple[float | None, bool | None], ...]) 
     known = sorted((wrap(h), p, k) for k, (h, p) in enumerate(links) if h is not None and p is not None)
     headings, passable = [h for h, _, _ in known], [p for _, p, _ in known]
     kind = _kind(type_, headings, passable)
-    return ArmSignature(kind, tuple(headings), tuple(passable), tuple(k for _, _, k in known))
+    places, heading = tuple(k for _, _, k in known), _direction(passable, headings)
+    return ArmSignature(kind, tuple(headings), tuple(passable), places, heading)
 
 
 def signature(landmark: Landmark) -> ArmSignature:

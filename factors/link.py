@@ -154,6 +154,14 @@ def twin(recorded: LandmarkMap, landmark: Landmark, link: Link) -> Link | None:
     Where two links join the same two landmarks, the twin is that of the nearest distance, then of the direction
     nearest to the opposite one.
     """
+    return _twin(_ways(ByIdentity(recorded)), landmark, link, recorded[link.connected_to_id or ""])
+
+
+def _twin(ways: Ways, landmark: Landmark, link: Link, far: Landmark) -> Link | None:
+    """`twin`, ``far`` being the landmark at the other end."""
+    back = ways.between(far, landmark.id)
+    if len(back) < 2:
+        return back[0] if back else None
 
     def unlike(other: Link) -> tuple[float, float]:
         gap = abs((other.distance or 0.0) - (link.distance or 0.0))
@@ -161,9 +169,7 @@ def twin(recorded: LandmarkMap, landmark: Landmark, link: Link) -> Link | None:
             return gap, pi
         return gap, abs(wrapped(other.heading - link.heading - pi))
 
-    far = recorded[link.connected_to_id or ""]
-    back = _ways(ByIdentity(recorded)).between(far, landmark.id)
-    return back[0] if len(back) == 1 else min(back, key=unlike, default=None)
+    return min(back, key=unlike)
 
 
 def is_bent(recorded: LandmarkMap, landmark: Landmark, link: Link) -> bool:
@@ -204,10 +210,11 @@ def link_measurements(recorded: LandmarkMap, r: int) -> Iterator[LinkMeasurement
     straight (distance and recorded displacement within three standard deviations of each other).
     """
     keys, headings = map_keys(recorded, r).landmarks, headings_of(recorded)
+    ways = _ways(ByIdentity(recorded))
     for identifier, key in keys.items():
         landmark = recorded[identifier]
-        for link, far in travelled_links(recorded, landmark):
-            other, far_key = twin(recorded, landmark, link), keys[far.id]
+        for link, far in ways.leaving(landmark):
+            other, far_key = _twin(ways, landmark, link, far), keys[far.id]
             if link.heading is not None:
                 ends = headings[identifier] or 0.0, headings[far.id] or 0.0
                 yield _displacement(recorded, (landmark, key), (far, far_key), ends, link, other)

@@ -359,16 +359,17 @@ def densities(innovation, V):
     k = len(innovation)
     density, d2 = np.empty(k), np.empty(k)
     for n in range(k):
-        e, C = innovation[n], V[n]
-        determinant = C[0, 0] * C[1, 1] - C[0, 1] * C[1, 0]
-        near = (e[0] * e[0] * C[1, 1] - 2 * e[0] * e[1] * C[0, 1] + e[1] * e[1] * C[0, 0]) / determinant
+        x, y, t = innovation[n, 0], innovation[n, 1], innovation[n, 2]
+        a, b, c = V[n, 0, 0], V[n, 0, 1], V[n, 0, 2]
+        d, e, f = V[n, 1, 1], V[n, 1, 2], V[n, 2, 2]
+        determinant = a * d - b * b
+        near = (x * x * d - 2 * x * y * b + y * y * a) / determinant
         density[n] = -0.5 * near - 0.5 * np.log(determinant) - np.log(TWO_PI)
-        Q = inverse3(C)
-        total = 0.0
-        for a in range(3):
-            for b in range(3):
-                total += e[a] * Q[a, b] * e[b]
-        d2[n] = total
+        # the adjugate of V, whose first row also makes its determinant
+        xx, xy, xt = d * f - e * e, c * e - b * f, b * e - c * d
+        whole = x * x * xx + y * y * (a * f - c * c) + t * t * determinant
+        whole += 2 * (x * y * xy + x * t * xt + y * t * (b * c - a * e))
+        d2[n] = whole / (a * xx + b * xy + c * xt)
     return density, d2
 
 
@@ -468,19 +469,18 @@ def sorted_pairs(partner):
 @kernel
 def near_pairs(p1, p2, may, partner, reach):
     """Pairs that may be the same, aren't matched with each other, and lie within ``reach`` [m]."""
-    count = 0
+    room, count = 4 * len(p1), 0
+    i, j = np.empty(room, np.intp), np.empty(room, np.intp)
     for a in range(len(p1)):
         for b in range(len(p2)):
-            if may[a, b] and partner[a] != b and np.hypot(p1[a, 0] - p2[b, 0], p1[a, 1] - p2[b, 1]) < reach:
-                count += 1
-    i, j = np.empty(count, np.intp), np.empty(count, np.intp)
-    count = 0
-    for a in range(len(p1)):
-        for b in range(len(p2)):
-            if may[a, b] and partner[a] != b and np.hypot(p1[a, 0] - p2[b, 0], p1[a, 1] - p2[b, 1]) < reach:
-                i[count], j[count] = a, b
-                count += 1
-    return i, j
+            if may[a, b] and partner[a] != b:
+                x, y = p1[a, 0] - p2[b, 0], p1[a, 1] - p2[b, 1]
+                if x * x + y * y < reach * reach:
+                    if count == room:
+                        i, j, room = np.concatenate((i, i)), np.concatenate((j, j)), 2 * room
+                    i[count], j[count] = a, b
+                    count += 1
+    return i[:count].copy(), j[:count].copy()
 
 
 @kernel

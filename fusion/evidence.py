@@ -94,6 +94,7 @@ class Weighed:
     `mapfuse.fusion.repetition.LACKING`. ``missed1``, ``missed2``: landmarks of map 1, map 2 that the other robot passed
     without recording them; ``through1``, ``through2``: how many blocked arms of each of these it drove through
     (`mapfuse.fusion.passing.Passing`). ``spared`` [nats]: what of `EvidenceConfig.look_elsewhere` it didn't pay.
+    ``other_floor`` [nats]: log odds of what is there and missing on another floor of one plan against on the same one.
     """
 
     growth: Growth
@@ -102,11 +103,12 @@ class Weighed:
     lacking: Array
     missed1: tuple[int, ...]
     missed2: tuple[int, ...]
-    through1: tuple[int, ...] = ()
-    through2: tuple[int, ...] = ()
-    spared: float = 0.0
+    through1: tuple[int, ...]
+    through2: tuple[int, ...]
+    spared: float
+    other_floor: float
 
-    @property
+    @cached_property
     def log_odds(self) -> float:
         """Log odds against no overlap [nats], before the overlap prior."""
         return self.terms.total
@@ -116,14 +118,14 @@ class Weighed:
         the maps say of such images (`mapfuse.fusion.repetition.alias`)."""
         return float(alias(self.lacking, of_building)) - self.apart
 
-    @cached_property
+    @property
     def alike(self) -> float:
         """Log odds of seeing this on another floor of the same plan against on the same floor [nats].
 
         Arms and compass don't tell such floors apart. What is known of the two maps speaks against another floor where
         this placement agrees with it; where it doesn't, it is as wrong on either.
         """
-        return float(another_floor(self.lacking)) - self.terms.known - max(self.terms.stated, 0.0)
+        return self.other_floor - self.terms.known - max(self.terms.stated, 0.0)
 
 
 def _compass(m1: PreparedMap, m2: PreparedMap, theta: Array) -> Array:
@@ -185,9 +187,9 @@ def weigh_all(growths: Sequence[Growth], background: Background, config: Evidenc
     spared = (config.look_elsewhere - searched).tolist()
     missed1, missed2 = _of_missed(said.missed1, said.through1), _of_missed(said.missed2, said.through2)
     return [
-        Weighed(growth, of_terms, off, odds, one[0], two[0], one[1], two[1], left)
-        for growth, of_terms, off, odds, one, two, left in zip(
-            growths, terms, apart, lacking, missed1, missed2, spared, strict=True
+        Weighed(growth, of_terms, off, odds, one[0], two[0], one[1], two[1], left, other)
+        for growth, of_terms, off, odds, one, two, left, other in zip(
+            growths, terms, apart, lacking, missed1, missed2, spared, another_floor(lacking).tolist(), strict=True
         )
     ]
 

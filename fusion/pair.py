@@ -104,29 +104,29 @@ def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
     growths = [w.growth for w in ordered]
     joined = growths[0].joined
     count = np.array([len(g.i) for g in growths])
-    partner = np.full((len(growths), len(joined.m1)), -1)
     i, j = (np.concatenate(places) for places in zip(*((g.i, g.j) for g in growths), strict=True))
-    partner[np.repeat(np.arange(len(growths)), count), i] = j
-    shared = ((partner[:, None] == partner) & (partner >= 0)).sum(axis=2)
-    same = 2 * shared >= np.minimum(count[:, None], count)
+    of, match = np.repeat(np.arange(len(growths)), count), np.unique(i * len(joined.m2) + j, return_inverse=True)[1]
+    has = np.zeros((len(growths), int(match.max()) + 1))
+    has[of, match] = 1.0
+    same = 2 * (has @ has.T) >= np.minimum(count[:, None], count)
     # the root mean square over n landmarks is no less than the distance of any one of them by the root of n
     placed = se2.transform(np.array([g.joined.T12 for g in growths])[:, None], joined.m2.positions)
     first = np.array([g.j[0] for g in growths])
     off = placed[np.arange(len(first)), first][:, None] - placed[:, first].swapaxes(0, 1)
     near = (off**2).sum(axis=2) <= (count[:, None] + count) * tolerance_m**2
+    matched = np.zeros((len(growths), len(joined.m2)), dtype=bool)
+    matched[of, j] = True
     kept = np.zeros(len(growths), dtype=bool)
     for k, g in enumerate(growths):
-        others = np.flatnonzero(near[k] & kept).tolist()
-        kept[k] = not (same[k] & kept).any() and not any(
-            _on_one_place(g, growths[other], tolerance_m) for other in others
+        if (same[k] & kept).any():
+            continue
+        # on one place, by the landmarks that either matches
+        kept[k] = all(
+            displacement(g.joined.T12, growths[other].joined.T12, joined.m2.positions[matched[k] | matched[other]])
+            >= tolerance_m
+            for other in np.flatnonzero(near[k] & kept).tolist()
         )
     return [w for w, keep in zip(ordered, kept.tolist(), strict=True) if keep]
-
-
-def _on_one_place(a: Growth, b: Growth, tolerance_m: float) -> bool:
-    """Whether two grown hypotheses lay map 2 on the same place, by the landmarks that either matches."""
-    overlap = a.joined.m2.positions[np.union1d(a.j, b.j)]
-    return bool(displacement(a.joined.T12, b.joined.T12, overlap) < tolerance_m)
 
 
 def _solved(w: Weighed, background: Background, config: FuseConfig) -> tuple[Weighed, Solution]:

@@ -203,14 +203,14 @@ def test_prior_along_corridors_integrates_to_1():
 def test_compass_is_a_density_against_that_of_other_buildings_with_a_floor():
     m1, m2 = SimpleNamespace(north=(0.4, 0.12)), SimpleNamespace(north=(-2.9, 0.2))
     rotations = np.linspace(-np.pi, np.pi, 4001)
-    ratio = np.exp([evidence._compass(m1, m2, float(theta)) for theta in rotations])
+    ratio = np.exp(evidence._compass(m1, m2, rotations))
     # other buildings: half of them stand on one street grid, at any multiple of a quarter turn, half anyhow
     quarters = 0.4 + 2.9 + np.arange(4) * np.pi / 2
     grid = vonmises(kappa=1 / (0.12**2 + 0.2**2)).pdf(rotations[:, None] - quarters).mean(axis=1)
     others = 0.5 * grid + 0.5 / (2 * np.pi)
     assert np.trapezoid(ratio * others, rotations) == pytest.approx(1, abs=0.02)
     assert np.log(ratio.min()) == pytest.approx(np.log(0.001 / (0.5 + 0.5 * 2 * np.pi * grid.max())), abs=0.1)
-    assert evidence._compass(m1, SimpleNamespace(north=None), 1.0) == 0
+    assert not evidence._compass(m1, SimpleNamespace(north=None), rotations).any()
 
 
 # Elastic match -------------------------------------------------------------------------------------------------------
