@@ -13,7 +13,7 @@ of single fields are in `mapfields`; here is what holds between them. Where the 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, fields
 from itertools import islice
 from pathlib import Path
@@ -330,6 +330,7 @@ def _described(map_: LandmarkMap) -> tuple[dict[str, Any], tuple[Problem, ...]]:
         document["joint_covariance"] = _record(joint, JOINT_COVARIANCE, ("order", "rows", "matrix")) | extra
     document |= _record(map_, ("walls", "path", "same_as"))
     document |= _extra(map_, (*MAP, "format", "noise", "landmarks", "joint_covariance"), (), faults)
+    faults += [((*place, name), "must not be None: it has a default") for place, name in _nones(map_)]
     _, problems = check_map(document)
     return document, tuple(Problem(render(place), reason) for place, reason in faults) + problems
 
@@ -346,11 +347,31 @@ def _landmark(landmark: Landmark, k: int, faults: Faults) -> dict[str, Any]:
     return record | _extra(landmark, (*LANDMARK, "links"), place, faults)
 
 
+def _nones(map_: LandmarkMap) -> Iterator[tuple[Place, str]]:
+    """Fields that are None and must not be: in a file that is the same as leaving them out, but not in memory."""
+    values: list[tuple[Place, Any]] = [(("noise",), map_.noise)]
+    for k, landmark in enumerate(map_.landmarks):
+        values.append((("landmarks", k), landmark))
+        values += [(("landmarks", k, "links", m), link) for m, link in enumerate(landmark.links)]
+    for place, value in values:
+        for name in _NOT_NONE[type(value)]:
+            if getattr(value, name) is None:
+                yield place, name
+
+
 def _defaults(of: type[Any]) -> dict[str, Any]:
     return {f.name: f.default_factory() if f.default_factory is not MISSING else f.default for f in fields(of)}
 
 
 _DEFAULTS = {kind: _defaults(kind) for kind in (Link, Landmark, Noise, JointCovariance, LandmarkMap)}
+
+
+_NOT_NONE = {
+    kind: [
+        name for name, default in _DEFAULTS[kind].items() if default not in (None, MISSING) and name not in NULL_MEANS
+    ]
+    for kind in (Link, Landmark, Noise)
+}
 
 
 def _record(value: Any, names: Collection[str], always: Collection[str] = ()) -> dict[str, Any]:

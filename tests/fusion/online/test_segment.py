@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapfuse.datasets import Landmark, LandmarkMap, Link, MapfuseError
+from mapfuse.datasets import Landmark, LandmarkMap, Link, MapError, MapfuseError, Noise
 from mapfuse.datasets.maps import JointCovariance
 from mapfuse.fusion.online import Correction, LandmarkLink, LandmarkSeen, Placed, Removed
+from mapfuse.fusion.online.messages import check_message
 from mapfuse.fusion.online.segment import Segment
 
 
@@ -113,3 +114,66 @@ def test_messages_without_sense_are_refused():
     surer_than_sure = np.eye(5) + np.eye(5, k=3) * 1.2 + np.eye(5, k=-3) * 1.2
     with pytest.raises(MapfuseError, match="the covariance of its pose is no covariance"):
         Placed(robot="r", sequence=0, t=0.0, pose=[0, 0, 0], covariance=surer_than_sure, order="a", positions=[[0, 0]])
+
+
+DOOR = Landmark("a", "door", 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong", "said"),
+    [
+        (LandmarkSeen, {"sequence": float("nan")}, "message nan of 'r': its sequence must be a whole number"),
+        (LandmarkSeen, {"sequence": 1.5}, "message 1.5 of 'r': its sequence must be a whole number"),
+        (LandmarkSeen, {"sequence": True}, "its sequence must be a whole number"),
+        (LandmarkSeen, {"frame": None}, "message 7 of 'r': its frame must be a whole number"),
+        (LandmarkSeen, {"t": "x"}, "message 7 of 'r': its time must be a number"),
+        (LandmarkSeen, {"robot": None}, "message 7 of None: its robot must be a name"),
+        (LandmarkSeen, {"landmark": None}, "message 7 of 'r': its landmark must be a Landmark, not null"),
+        (LandmarkLink, {"id": "a", "link": None}, "message 7 of 'r': its link must be a Link, not null"),
+        (LandmarkLink, {"id": 3, "link": Link()}, "message 7 of 'r': its id must be a str, not 3"),
+        (Removed, {"id": None}, "message 7 of 'r': its id must be a str"),
+        (Correction, {"map": None}, "message 7 of 'r': its map must be a LandmarkMap, not null"),
+        (Placed, {"pose": "x"}, "message 7 of 'r': its pose must be an array of numbers"),
+        (Placed, {"order": (3,), "positions": [[0, 0]], "covariance": np.eye(5)}, "must be ids of landmarks"),
+        (Placed, {"order": "a", "positions": np.zeros((1, 3)), "covariance": np.eye(5)}, r"n landmarks \(n, 2\)"),
+        (Placed, {"pose": [1e300, 0, 0]}, "message 7 of 'r': its pose or a landmark of it is beyond"),
+        (Placed, {"order": "a", "positions": [[0, -1e300]], "covariance": np.eye(5)}, "or a landmark of it is beyond"),
+        (Placed, {"covariance": np.diag([1, 1e300, 1])}, "message 7 of 'r': the covariance of its pose holds numbers"),
+    ],
+)
+def test_a_message_of_other_kinds_of_values_is_refused_with_robot_and_sequence(kind, wrong, said):
+    fine = {"landmark": DOOR} if kind is LandmarkSeen else {}
+    fine |= {"pose": np.zeros(3), "covariance": np.eye(3)} if kind is Placed else {}
+    with pytest.raises(MapfuseError, match=said):
+        kind(**{"robot": "r", "sequence": 7, "t": 0.0, **fine, **wrong})
+
+
+def test_numbers_of_numpy_are_whole_numbers_too():
+    sequence = Removed(robot="r", sequence=np.int64(3), t=np.float32(1.0), id="a").sequence
+    assert (sequence, type(sequence)) == (3, int)
+
+
+@pytest.mark.parametrize(
+    ("message", "place"),
+    [
+        ({"map": LandmarkMap("r", (DOOR,), noise=Noise(distance_sigma_floor=None))}, "noise.distance_sigma_floor"),
+        ({"map": LandmarkMap("r", (DOOR,), noise=Noise(compass_sigma=1e300))}, "noise.compass_sigma"),
+        ({"map": LandmarkMap("r", (None,))}, "landmarks[0]"),
+        ({"map": LandmarkMap("r", (Landmark("a", "door", 1e300, 0.0),))}, "landmarks[0]"),
+        ({"landmark": Landmark("a", "door", 0.0, -1e300)}, "landmarks[0]"),
+        ({"landmark": Landmark("a", "door", 0.0, 0.0, covariance=np.eye(2) * 1e300)}, "landmarks[0].covariance"),
+        ({"landmark": Landmark("a", "door", 0.0, 0.0, visit_counter=None)}, "landmarks[0].visit_counter"),
+        ({"landmark": Landmark("a", "door", 0.0, 0.0, links=(None,))}, "landmarks[0].links[0]"),
+        ({"landmark": Landmark("a", "door", 0.0, 0.0, links=(Link(None),))}, "landmarks[0].links[0].type"),
+    ],
+)
+def test_a_map_or_landmark_that_nothing_can_be_computed_with_is_refused_by_its_place(message, place):
+    kind = Correction if "map" in message else LandmarkSeen
+    with pytest.raises(MapError, match="map 'r'") as caught:
+        check_message(kind(robot="r", sequence=0, t=0.0, **message))
+    assert [problem.place for problem in caught.value.problems] == [place]
+
+
+def test_noise_of_an_unknown_compass_offset_stays_allowed():
+    noise = Noise(compass_offset_sigma=None)
+    check_message(Correction(robot="r", sequence=0, t=0.0, map=LandmarkMap("r", (DOOR,), noise=noise)))
