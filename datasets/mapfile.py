@@ -87,6 +87,21 @@ def check_map(document: Any, place: str = "") -> tuple[LandmarkMap | None, tuple
     return (None if faults else read), problems
 
 
+def noise_from_dict(record: Any, path: str | Path = "map", place: str = "noise") -> Noise:
+    """The noise of a map by itself; ``path`` and ``place`` say in errors where it stood.
+
+    Raises `FileFormatError` as `read_map` does.
+
+    >>> noise_from_dict({"heading_sigma": 0.05}).heading_sigma
+    0.05
+    """
+    faults: Faults = []
+    noise = _noise(record, faults, ())
+    if faults:
+        raise FileFormatError(path, tuple(Problem(render(where, place), reason) for where, reason in faults))
+    return noise
+
+
 def warn_of_contradictions(map_: LandmarkMap, path: str | Path) -> None:
     """Log the landmarks of a map whose type their arms contradict."""
     found = [(landmark, why) for landmark in map_.landmarks if (why := contradiction(landmark))]
@@ -218,11 +233,11 @@ def _values(
     return values
 
 
-def _noise(record: Any, faults: Faults) -> Noise:
+def _noise(record: Any, faults: Faults, place: Place = ("noise",)) -> Noise:
     if record is None:
         return Noise()
     before = len(faults)
-    values = _values(record, _NOISE, (), ("noise",), faults)
+    values = _values(record, _NOISE, (), place, faults)
     if len(faults) > before:
         return Noise()
     values |= {key: None for key in NULL_MEANS if key in record and record[key] is None}
