@@ -24,7 +24,7 @@ from mapfuse.datasets.rules import RuleError, table
 from ..groups import strays
 from .config import OnlineConfig
 from .messages import Placed, beyond
-from .segment import Counters, Record, Segment
+from .segment import Counters, Record, Segment, way_of
 
 if TYPE_CHECKING:
     from .fuser import OnlineFuser
@@ -225,7 +225,11 @@ def _segment(segment: Segment) -> _Segment:
             _Said(name, r.sequence, None if r.landmark is None else _alone(segment, r.landmark))
             for name, r in segment.records.items()
         ],
-        [_Way(at, to, n, _alone(segment, _with_link(at, link))) for (at, to), (n, link) in segment.ways.items()],
+        [
+            _Way(at, str(to), n, _alone(segment, _with_link(at, link)))
+            for at, ways in segment.ways.items()
+            for to, (n, link) in ways.items()
+        ],
         None
         if placed is None
         else _Placed(
@@ -264,7 +268,9 @@ def _as_segment(saved: _Segment, path: str | Path, place: str) -> Segment:
         links = _landmark(segment.name, way.map, path, where).links
         if len(links) != 1:
             raise no_fuser(path, f"{where}.links", f"must hold one link, not {len(links)}")
-        segment.ways[way.at, way.to] = (way.sequence, links[0])
+        ways = segment.ways.setdefault(way.at, {})
+        if way.sequence > ways.get(way_of(links[0]), (-1, None))[0]:
+            ways[way_of(links[0])] = (way.sequence, links[0])
     if saved.placed is not None:
         segment.placed = _placed(saved, saved.placed, path, f"{place}.placed")
     segment.counters = saved.counters

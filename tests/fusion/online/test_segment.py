@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from mapfuse.datasets import Landmark, LandmarkMap, Link, MapError, MapfuseError, Noise
+from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.maps import JointCovariance
 from mapfuse.fusion.online import Correction, LandmarkLink, LandmarkSeen, Placed, Removed
 from mapfuse.fusion.online.messages import check_message
-from mapfuse.fusion.online.segment import Segment
+from mapfuse.fusion.online.segment import BINS, ONE_ARM, Segment, way_of
 
 
 def seen(sequence, name, x, **more):
@@ -19,13 +20,17 @@ def seen(sequence, name, x, **more):
 
 
 def random_messages(rng):
-    """Of six landmarks: seen, seen elsewhere, linked, removed; now and then the whole map."""
+    """Of six landmarks: seen, seen elsewhere, linked, an arm, removed; now and then the whole map."""
     messages = []
-    for k in range(40):
+    for k in range(60):
         name = f"d{rng.integers(6)}"
         what = rng.integers(10)
-        if what < 5:
+        if what < 4:
             messages.append(seen(k, name, float(rng.normal())))
+        elif what < 6:
+            arm = float(rng.choice([-3.14, -1.5, 0.2, 1.6])) + float(rng.normal(0.0, 0.05))
+            link = Link("open", float(wrap(arm)) if rng.random() < 0.9 else None, float(wrap(arm)))
+            messages.append(LandmarkLink(robot="r", sequence=k, t=float(k), id=name, link=link))
         elif what < 7:
             link = Link("open", float(rng.uniform(-3, 3)), None, f"d{rng.integers(6)}", float(rng.uniform(1, 5)), 1)
             messages.append(LandmarkLink(robot="r", sequence=k, t=float(k), id=name, link=link))
@@ -75,6 +80,31 @@ def test_a_link_takes_the_place_of_the_arm_that_it_is():
     segment.take(LandmarkLink(robot="r", sequence=2, t=2.0, id="a", link=Link("open", 0.0, None, "b", 4.0, 1)))
     links = segment.map()["a"].links
     assert [(l.type, l.connected_to_id) for l in links] == [("open", "b"), ("blocked", None)]
+
+
+def test_arms_that_are_told_again_and_again_are_kept_once():
+    """However often a robot tells of an arm, and however noisily, what is kept of a landmark is bounded."""
+    rng = np.random.default_rng(0)
+    segment = Segment("r", 0)
+    segment.take(seen(0, "a", 0.0))
+    for k in range(1, 2001):
+        link = Link("open", float(rng.choice([0.5, -2.0]) + rng.normal(0.0, 0.02)))
+        segment.take(LandmarkLink(robot="r", sequence=k, t=float(k), id="a", link=link))
+        newest = link
+    assert sum(map(len, segment.ways.values())) <= 4
+    arms = segment.map()["a"].links
+    assert len(arms) == 2
+    assert newest in arms
+
+
+@pytest.mark.parametrize("heading", np.linspace(-np.pi, np.pi, 7))
+def test_arms_of_one_bin_are_one_arm_and_opposite_ones_are_not(heading):
+    """A whole turn has few bins, each narrower than what makes two arms one; both ends of the half turn are one."""
+    turned = [way_of(Link("open", float(wrap(heading + k * 2 * np.pi / 3600)))) for k in range(3600)]
+    assert len(set(turned)) == BINS
+    assert max(turned.count(way) for way in set(turned)) * 2 * np.pi / 3600 < ONE_ARM + 2 * np.pi / 3600
+    assert turned[0] != turned[1800]
+    assert way_of(Link("open", np.pi)) == way_of(Link("open", -np.pi))
 
 
 def test_what_moved_since_a_correction_is_no_part_of_its_joint_covariance():
