@@ -145,6 +145,8 @@ def fuser_of(kind: type[OnlineFuser], document: _File, path: str | Path, *, work
         m = map_from_dict(record, path, f"weighed[{k}]")
         if m.name not in names or m.name in weighed:
             raise no_fuser(path, f"weighed[{k}].name", f"{m.name!r} is no map of its own among the segments")
+        if problems := beyond(m.landmarks, m.noise):
+            raise no_fuser(path, f"weighed[{k}].{problems[0].place}", problems[0].reason)
         weighed[m.name] = m
     noise = {name: _noise(n, path, f"noise.{name}") for name, n in document.noise.items()}
     fuser = kind(config, worker=worker)
@@ -252,7 +254,7 @@ def _as_segment(saved: _Segment, path: str | Path, place: str) -> Segment:
     segment = Segment(saved.robot, saved.frame, _noise(saved.noise, path, f"{place}.noise"))
     if saved.base is not None:
         segment.base = map_from_dict(saved.base, path, f"{place}.base")
-        if problems := beyond(segment.base.landmarks) or strays(segment.base):
+        if problems := beyond(segment.base.landmarks, segment.base.noise) or strays(segment.base):
             raise FileFormatError(path, tuple(Problem(f"{place}.base.{p.place}", p.reason) for p in problems))
     segment.corrected = saved.corrected
     for k, said_ in enumerate(saved.records):

@@ -108,6 +108,8 @@ SEGMENT = ("segments", 0)
         ((*SEGMENT, "base", "landmarks", 0, "x"), 1e8, r"segments\[0\]\.base\.landmarks\[0\]: .a. lies more than"),
         ((*SEGMENT, "records", 0, "map", "x"), 1e300, r"segments\[0\]\.records\[0\]\.map: .d. lies beyond"),
         ((*SEGMENT, "noise", "compass_sigma"), 1e300, r"segments\[0\]\.noise\.compass_sigma: is beyond"),
+        ((*SEGMENT, "base", "noise", "compass_sigma"), 1e300, r"segments\[0\]\.base\.noise\.compass_sigma: is beyond"),
+        (("weighed", 0, "noise", "compass_sigma"), 1e300, r"weighed\[0\]\.noise\.compass_sigma: is beyond"),
         ((*SEGMENT, "placed", "positions", 0), [0.0], r"segments\[0\]\.placed"),
         ((*SEGMENT, "placed", "pose"), [0.0], r"segments\[0\]\.placed"),
         ((*SEGMENT, "placed", "t"), "x", r"Expected `float`, got `str` - at `\$\.segments\[0\]\.placed\.t`"),
