@@ -40,7 +40,7 @@ def header_to_dict(header: LogHeader) -> dict[str, Any]:
     )
     document |= header.extra
     problems = [Problem(render(place), reason) for place, reason in json_faults(document, ())]
-    problems = problems or _header(document)[1]
+    problems = problems or check_header(document)[1]
     if problems:
         raise MapfuseError(f"the header of log {said(header.name)} can't be written: {'; '.join(map(str, problems))}")
     return document
@@ -54,7 +54,7 @@ def header_from_dict(document: Any, path: str | Path = "log") -> LogHeader:
     >>> header_from_dict({"format": "mapfuse.log/1", "name": "a", "sensors": {"gyro_sigma": 0.01}}).sensors.gyro_sigma
     0.01
     """
-    header, problems = _header(document)
+    header, problems = check_header(document)
     if header is None or problems:
         raise FileFormatError(
             path, tuple(Problem(f"line 1: {p.place}" if p.place else "line 1", p.reason) for p in problems)
@@ -62,7 +62,8 @@ def header_from_dict(document: Any, path: str | Path = "log") -> LogHeader:
     return header
 
 
-def _header(document: Any) -> tuple[LogHeader | None, list[Problem]]:
+def check_header(document: Any) -> tuple[LogHeader | None, list[Problem]]:
+    """A decoded first line as a header, or None and everything that is wrong with it."""
     if not isinstance(document, dict):
         return None, [Problem("", f"must be an object, the log's header, not {said(document)}")]
     if fault := format_fault(document.get("format"), FORMAT):

@@ -13,7 +13,7 @@ of single fields are in `mapfields`; here is what holds between them. Where the 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, fields
 from itertools import islice
 from pathlib import Path
@@ -85,6 +85,21 @@ def check_map(document: Any, place: str = "") -> tuple[LandmarkMap | None, tuple
     read = _map(document, faults)
     problems = tuple(Problem(render(where, place), reason) for where, reason in islice(faults, MAX_PROBLEMS))
     return (None if faults else read), problems
+
+
+def noise_from_dict(record: Any, path: str | Path = "map", place: str = "noise") -> Noise:
+    """The noise of a map by itself; ``path`` and ``place`` say in errors where it stood.
+
+    Raises `FileFormatError` as `read_map` does.
+
+    >>> noise_from_dict({"heading_sigma": 0.05}).heading_sigma
+    0.05
+    """
+    faults: Faults = []
+    noise = _noise(record, faults, ())
+    if faults:
+        raise FileFormatError(path, tuple(Problem(render(where, place), reason) for where, reason in faults))
+    return noise
 
 
 def warn_of_contradictions(map_: LandmarkMap, path: str | Path) -> None:
@@ -218,11 +233,11 @@ def _values(
     return values
 
 
-def _noise(record: Any, faults: Faults) -> Noise:
+def _noise(record: Any, faults: Faults, place: Place = ("noise",)) -> Noise:
     if record is None:
         return Noise()
     before = len(faults)
-    values = _values(record, _NOISE, (), ("noise",), faults)
+    values = _values(record, _NOISE, (), place, faults)
     if len(faults) > before:
         return Noise()
     values |= {key: None for key in NULL_MEANS if key in record and record[key] is None}
@@ -330,6 +345,7 @@ def _described(map_: LandmarkMap) -> tuple[dict[str, Any], tuple[Problem, ...]]:
         document["joint_covariance"] = _record(joint, JOINT_COVARIANCE, ("order", "rows", "matrix")) | extra
     document |= _record(map_, ("walls", "path", "same_as"))
     document |= _extra(map_, (*MAP, "format", "noise", "landmarks", "joint_covariance"), (), faults)
+    faults += [((*place, name), "must not be None: it has a default") for place, name in _nones(map_)]
     _, problems = check_map(document)
     return document, tuple(Problem(render(place), reason) for place, reason in faults) + problems
 
@@ -346,11 +362,31 @@ def _landmark(landmark: Landmark, k: int, faults: Faults) -> dict[str, Any]:
     return record | _extra(landmark, (*LANDMARK, "links"), place, faults)
 
 
+def _nones(map_: LandmarkMap) -> Iterator[tuple[Place, str]]:
+    """Fields that are None and must not be: in a file that is the same as leaving them out, but not in memory."""
+    values: list[tuple[Place, Any]] = [(("noise",), map_.noise)]
+    for k, landmark in enumerate(map_.landmarks):
+        values.append((("landmarks", k), landmark))
+        values += [(("landmarks", k, "links", m), link) for m, link in enumerate(landmark.links)]
+    for place, value in values:
+        for name in _NOT_NONE[type(value)]:
+            if getattr(value, name) is None:
+                yield place, name
+
+
 def _defaults(of: type[Any]) -> dict[str, Any]:
     return {f.name: f.default_factory() if f.default_factory is not MISSING else f.default for f in fields(of)}
 
 
 _DEFAULTS = {kind: _defaults(kind) for kind in (Link, Landmark, Noise, JointCovariance, LandmarkMap)}
+
+
+_NOT_NONE = {
+    kind: [
+        name for name, default in _DEFAULTS[kind].items() if default not in (None, MISSING) and name not in NULL_MEANS
+    ]
+    for kind in (Link, Landmark, Noise)
+}
 
 
 def _record(value: Any, names: Collection[str], always: Collection[str] = ()) -> dict[str, Any]:

@@ -602,9 +602,9 @@ class Mapper:
         return saved.encode(self)
 
     @classmethod
-    def from_json(cls, data: bytes | msgspec.Raw, path: str | Path) -> Mapper:
-        """A mapper out of the document of `to_json` in the file ``path``. Raises as `load`."""
-        return cls._of(*saved.decode(data, path))
+    def from_json(cls, data: bytes | msgspec.Raw, path: str | Path, place: str = "") -> Mapper:
+        """A mapper out of the document of `to_json` that stands in the file ``path`` at ``place``. Raises as `load`."""
+        return cls._of(*saved.decode(data, path, place))
 
     @classmethod
     def _of(cls, header: LogHeader, config: MapperConfig, state: State, kalman: JointFilter) -> Mapper:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,9 +10,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from ..errors import FileFormatError, Problem
+from ..errors import ConfigError, FileFormatError, Problem
 from ..files import read_whole, write_whole
-from ..logs import Detection, LogHeader, Odometry, Sensors
+from ..logheader import FORMAT as LOG_FORMAT
+from ..logheader import check_header
+from ..logs import Detection, LogHeader, Odometry
+from ..rules import RuleError, table
 from .compass import CompassWindow
 from .config import MapperConfig
 from .filter import JointFilter
@@ -22,6 +26,8 @@ if TYPE_CHECKING:
     from .mapper import Mapper
 
 FORMAT = "mapfuse.mapper/1"
+#: No sensor is worse than this, nor anything further away, as in logs; squares of more would overflow.
+LARGEST = 1e9
 
 
 class Counters(msgspec.Struct):
@@ -96,19 +102,79 @@ def read(path: str | Path) -> tuple[LogHeader, MapperConfig, State, JointFilter]
     return decode(read_whole(path), path)
 
 
-def decode(data: bytes | msgspec.Raw, path: str | Path) -> tuple[LogHeader, MapperConfig, State, JointFilter]:
-    """What a JSON document out of the file ``path`` holds. Raises as `read`."""
+def decode(
+    data: bytes | msgspec.Raw, path: str | Path, place: str = ""
+) -> tuple[LogHeader, MapperConfig, State, JointFilter]:
+    """What a JSON document holds that stands in the file ``path`` at ``place``. Raises as `read`."""
+    at = f"{place}." if place else ""
     try:
         document = msgspec.json.decode(data, type=_File)
-        if document.format != FORMAT:
-            reason = f"must be {FORMAT!r}, not {document.format[:40]!r}"
-            raise FileFormatError(path, (Problem("format", reason),))
-        header = dict(document.header)
-        sensors = Sensors(**header.pop("sensors"))
-        config = MapperConfig(**document.config)
-        kalman = JointFilter(np.array(document.x), np.array(document.P))
-    except (msgspec.DecodeError, TypeError, ValueError, KeyError) as error:
-        raise FileFormatError(path, (Problem("", f"is no saved mapper: {error}"),)) from error
-    if kalman.P.shape != (len(kalman.x), len(kalman.x)):
-        raise FileFormatError(path, (Problem("P", "doesn't fit x"),))
-    return LogHeader(**header, sensors=sensors), config, document.state, kalman
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise FileFormatError(path, (Problem(place, f"is no saved mapper: {error}"),)) from error
+    if document.format != FORMAT:
+        reason = f"must be {FORMAT!r}, not {document.format[:40]!r}"
+        raise FileFormatError(path, (Problem(f"{at}format", reason),))
+    header, problems = check_header(_log_header(document.header))
+    if header is None:
+        raise FileFormatError(path, tuple(Problem(f"{at}header.{p.place}", p.reason) for p in problems))
+    sensors = asdict(header.sensors) | {"extra": None}
+    if (name := next((k for k, value in sensors.items() if value is not None and value > LARGEST), None)) is not None:
+        raise FileFormatError(path, (Problem(f"{at}header.sensors.{name}", f"is beyond {LARGEST:g}"),))
+    try:
+        config = msgspec.convert(document.config, MapperConfig)
+    except (msgspec.ValidationError, ConfigError) as error:
+        raise FileFormatError(path, (Problem(f"{at}config", str(error)),)) from error
+    try:
+        P = table(document.P, len(document.x))
+    except RuleError as error:
+        raise FileFormatError(path, (Problem(f"{at}P", error.faults[0][1]),)) from error
+    if not (np.abs(document.x) <= LARGEST).all() or not (np.abs(P) <= LARGEST**2).all():
+        raise FileFormatError(path, (Problem(f"{at}x", f"or P holds numbers beyond {LARGEST:g}"),))
+    if len(P) != len(document.x):
+        raise FileFormatError(path, (Problem(f"{at}P", "doesn't fit x"),))
+    if (problem := _dangling(document.state, len(document.x))) is not None:
+        raise FileFormatError(path, (Problem(f"{at}state.{problem.place}", problem.reason),))
+    return header, config, document.state, JointFilter(np.array(document.x), P)
+
+
+def _log_header(header: dict[str, Any]) -> dict[str, Any]:
+    """The header as the first line of a log has it, where what is unknown stands beside what is known."""
+    sensors = header.get("sensors")
+    if isinstance(sensors, dict):
+        header = header | {"sensors": _flat(sensors)}
+    return _flat(header) | {"format": LOG_FORMAT}
+
+
+def _flat(values: dict[str, Any]) -> dict[str, Any]:
+    extra = values.get("extra")
+    if not isinstance(extra, dict):
+        return values
+    return extra | {key: value for key, value in values.items() if key != "extra"}
+
+
+def _dangling(state: State, size: int) -> Problem | None:
+    """The first number that is one of nothing: of a row of the filter, of a keyframe, a landmark or a sighting."""
+    memory = state.memory
+    frames, sightings = len(memory.keyframes), len(memory.sightings)
+    if len(memory.poses) != frames or not frames:
+        return Problem("memory.poses", f"holds {len(memory.poses)} poses of {frames} keyframes")
+    wanted: list[tuple[str, Iterable[int], int]] = [
+        ("node_rows", state.node_rows, size),
+        ("memory.sightings", (s.keyframe for s in memory.sightings), frames),
+        ("memory.stations", (s.keyframe for s in memory.stations), frames),
+        ("memory.stations", (s.node for s in memory.stations), len(memory.nodes)),
+        ("memory.path", (w.keyframe for w in memory.path), frames),
+        ("memory.pieces", (p.keyframe for p in memory.pieces), frames),
+        ("memory.hits", (h.keyframe for h in memory.hits), frames),
+    ]
+    for key, known in state.landmarks.items():
+        rows = (known.at, known.at + 1, *(() if known.turn is None else (known.turn,)))
+        wanted += [(f"landmarks.{key}", rows, size), (f"landmarks.{key}.sightings", known.sightings, sightings)]
+        if known.key != key:
+            return Problem(f"landmarks.{key}.key", f"is {known.key}")
+    for where, numbers, count in wanted:
+        if (bad := next((n for n in numbers if not 0 <= n < count), None)) is not None:
+            return Problem(where, f"names number {bad} of {count}")
+    if (name := next((n for n, key in state.by_name.items() if key not in state.landmarks), None)) is not None:
+        return Problem("by_name", f"{name!r} is no landmark")
+    return None

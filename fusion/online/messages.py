@@ -7,22 +7,33 @@ that were sent before it. In whichever order messages come, and however often, t
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import TypeAlias
+from numbers import Integral, Real
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
+from mapfuse.datasets.jsondata import said
+from mapfuse.datasets.mapfields import NOISE
 from mapfuse.datasets.mapfile import validate
-from mapfuse.datasets.maps import Landmark, LandmarkMap, Link
-from mapfuse.datasets.rules import covariance_fault
+from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
+from mapfuse.datasets.rules import MAX_COUNT, covariance_fault
 from mapfuse.datasets.values import frozen_array
 
 from ..groups import strays
 
 Array = NDArray[np.float64]
+
+#: Larger numbers are no places [m], as in logs, nor the variance of one [m^2, rad^2]: computing with them overflows.
+LARGEST, LARGEST_VARIANCE = 1e9, 1e12
+
+
+#: What a message holds besides numbers.
+_KINDS: dict[str, type] = {"landmark": Landmark, "link": Link, "map": LandmarkMap, "id": str}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,10 +48,28 @@ class _Said:
     frame: int = 0
 
     def __post_init__(self) -> None:
-        if not isfinite(self.t):
-            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: its time is not finite")
-        if self.sequence < 0 or self.frame < 0:
-            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: sequence and frame count from 0")
+        robot: Any = self.robot
+        t: Any = self.t
+        if not isinstance(robot, str) or not robot:
+            raise self.wrong(f"its robot must be a name, not {said(robot)}")
+        if not isinstance(t, Real):
+            raise self.wrong(f"its time must be a number, not {said(t)}")
+        if not isfinite(t):
+            raise self.wrong("its time is not finite")
+        for name in ("sequence", "frame"):
+            number = getattr(self, name)
+            if type(number) is bool or not isinstance(number, Integral):
+                raise self.wrong(f"its {name} must be a whole number, not {said(number)}")
+            object.__setattr__(self, name, int(number))
+        if not (0 <= self.sequence <= MAX_COUNT and 0 <= self.frame <= MAX_COUNT):
+            raise self.wrong("sequence and frame count from 0")
+        for name, kind in _KINDS.items():
+            if hasattr(self, name) and not isinstance(value := getattr(self, name), kind):
+                raise self.wrong(f"its {name} must be a {kind.__name__}, not {said(value)}")
+
+    def wrong(self, reason: str) -> MapfuseError:
+        """The error that says so of this message."""
+        return MapfuseError(f"message {self.sequence} of {self.robot!r}: {reason}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,15 +117,24 @@ class Placed(_Said):
     def __post_init__(self) -> None:
         super(Placed, self).__post_init__()
         for name in ("pose", "covariance", "positions"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+            try:
+                object.__setattr__(self, name, frozen_array(getattr(self, name)))
+            except (TypeError, ValueError) as error:
+                raise self.wrong(f"its {name} must be an array of numbers") from error
+        if not all(isinstance(name, str) for name in self.order):
+            raise self.wrong("its order must be ids of landmarks")
         n = len(self.order)
-        if (self.pose.shape, self.covariance.shape) != ((3,), (3 + 2 * n, 3 + 2 * n)) or len(self.positions) != n:
-            reason = "a pose needs (3,), n landmarks (n, 2), and a covariance (3 + 2n, 3 + 2n)"
-            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: {reason}")
+        shapes = self.pose.shape, self.positions.shape, self.covariance.shape
+        if shapes != ((3,), (n, 2), (3 + 2 * n, 3 + 2 * n)):
+            raise self.wrong("a pose needs (3,), n landmarks (n, 2), and a covariance (3 + 2n, 3 + 2n)")
         if not all(np.isfinite(values).all() for values in (self.pose, self.covariance, self.positions)):
-            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: its pose is not finite")
+            raise self.wrong("its pose is not finite")
+        if max(np.abs(self.pose).max(), np.abs(self.positions).max(initial=0.0)) > LARGEST:
+            raise self.wrong(f"its pose or a landmark of it is beyond {LARGEST:g}, where no map is")
+        if np.abs(self.covariance).max() > LARGEST_VARIANCE:
+            raise self.wrong(f"the covariance of its pose holds numbers beyond {LARGEST_VARIANCE:g}")
         if (fault := covariance_fault(self.covariance)) is not None:
-            raise MapfuseError(f"message {self.sequence} of {self.robot!r}: the covariance of its pose {fault}")
+            raise self.wrong(f"the covariance of its pose {fault}")
 
 
 Message: TypeAlias = LandmarkSeen | LandmarkLink | Removed | Correction | Placed
@@ -108,15 +146,50 @@ def check_message(message: Message) -> None:
     A link may lead to a landmark that isn't there yet.
     """
     if isinstance(message, Correction):
-        problems = validate(message.map) or strays(message.map)
+        m = message.map
+        problems = _other_kinds(m.landmarks) or validate(m) or beyond(m.landmarks, m.noise) or strays(m)
     elif isinstance(message, LandmarkSeen):
-        problems = _alone(message.landmark)
+        alone = (message.landmark,)
+        problems = _other_kinds(alone) or _alone(message.landmark) or beyond(alone)
     elif isinstance(message, LandmarkLink):
         problems = _alone(Landmark(message.id, "door", 0.0, 0.0, links=(message.link,)))
     else:
         return
     if problems:
         raise MapError(message.robot, problems)
+
+
+def beyond(landmarks: Iterable[Landmark], noise: Noise | None = None) -> tuple[Problem, ...]:
+    """Landmarks and standard deviations beyond `LARGEST`, which the format allows, and nothing can be computed with."""
+    problems = [
+        Problem(f"landmarks[{k}]", f"{said(l.id)} lies beyond {LARGEST:g} m")
+        for k, l in enumerate(landmarks)
+        if abs(l.x) > LARGEST or abs(l.y) > LARGEST
+    ]
+    problems += [
+        Problem(f"landmarks[{k}].covariance", f"holds numbers beyond {LARGEST_VARIANCE:g}")
+        for k, l in enumerate(landmarks)
+        if l.covariance is not None and np.abs(l.covariance).max(initial=0.0) > LARGEST_VARIANCE
+    ]
+    sigmas: dict[str, Any] = {} if noise is None else {name: getattr(noise, name) for name in NOISE}
+    problems += [
+        Problem(f"noise.{name}", f"is beyond {LARGEST:g}")
+        for name, sigma in sigmas.items()
+        if sigma is not None and sigma > LARGEST
+    ]
+    return tuple(problems)
+
+
+def _other_kinds(landmarks: Iterable[Any]) -> tuple[Problem, ...]:
+    """What should be a landmark or a link of one, and isn't."""
+    for k, landmark in enumerate(landmarks):
+        if not isinstance(landmark, Landmark):
+            return (Problem(f"landmarks[{k}]", f"must be a Landmark, not {said(landmark)}"),)
+        links: tuple[Any, ...] = landmark.links
+        for m, link in enumerate(links):
+            if not isinstance(link, Link):
+                return (Problem(f"landmarks[{k}].links[{m}]", f"must be a Link, not {said(link)}"),)
+    return ()
 
 
 def _alone(landmark: Landmark) -> tuple[Problem, ...]:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: Added to all variances [m^2, rad^2], so that two landmarks which are as one, or a start that is known, can be told.
 FLOOR = 1e-9
+#: Eigenvalues of the correlations are taken to be this at least: less is rounding.
+LEAST = 1e-13
 #: A pose is found when a step is this small [m, rad]; two or three do.
 SMALL, STEPS = 1e-9, 20
 
@@ -70,20 +72,27 @@ def placed_in(segment: Segment, smoother: Smoother) -> Place:
 @dataclass(frozen=True, eq=False, slots=True)
 class _Sight:
     """What a robot knows, as seen from where it stands: ``origin`` (3,), its start, and ``landmarks`` (n, 2), with the
-    ``information`` (3 + 2n, 3 + 2n) of these together; ``pose`` (3,) is what it takes for its own, in the frame of its
-    start."""
+    ``whitening`` (3 + 2n, 3 + 2n) of these together: what makes their errors independent, of variance 1. ``pose`` (3,)
+    is what it takes for its own, in the frame of its start.
+
+    With a root of the information instead of it all stays well-conditioned where the start is kilometres away, or
+    known a million times worse than the landmarks.
+    """
 
     pose: Array
     origin: Array
     landmarks: Array
-    information: Array
+    whitening: Array
 
     @classmethod
     def of(cls, pose: Array, positions: Array, covariance: Array) -> _Sight:
         """From the pose and the landmarks (n, 2) in the frame of the start, and their covariance (3 + 2n, 3 + 2n)."""
         J = np.concatenate(_sight_by(pose, positions), axis=1)
-        W = np.linalg.inv(J @ (covariance + FLOOR * np.eye(len(covariance))) @ J.T)
-        return cls(pose, se2.inverse(pose), _seen(pose, positions), (W + W.T) / 2)
+        covariance = covariance + FLOOR * np.eye(len(covariance))
+        sigmas = np.sqrt(np.diagonal(covariance))
+        values, vectors = np.linalg.eigh(covariance / sigmas[:, None] / sigmas)
+        root = (vectors / np.sqrt(np.maximum(values, LEAST))).T / sigmas
+        return cls(pose, se2.inverse(pose), _seen(pose, positions), root @ np.linalg.inv(J))
 
     def pose_given(self, positions: Array) -> tuple[Array, Array, Array]:
         """The likeliest pose (3,) where the landmarks are truly at ``positions`` (n, 2), its covariance (3, 3) given
@@ -94,14 +103,15 @@ class _Sight:
             start = se2.inverse(x) - self.origin
             start[2] = se2.wrap(start[2])
             residual = np.concatenate([start, (_seen(x, positions) - self.landmarks).ravel()])
-            H = by_pose.T @ self.information
-            rest = np.linalg.inv(H @ by_pose)
-            step = rest @ (H @ residual)
+            Q, R = np.linalg.qr(self.whitening @ by_pose)
+            H = np.linalg.solve(R, Q.T @ self.whitening)
+            step = H @ residual
             x = x - step
             if np.abs(step).max() < SMALL:
                 break
         x[2] = se2.wrap(x[2])
-        return x, np.asarray(rest), np.asarray(-rest @ H @ by_landmarks)
+        root = np.linalg.inv(R)
+        return x, np.asarray(root @ root.T), np.asarray(-H @ by_landmarks)
 
     def _as_a_whole(self, positions: Array) -> Array:
         """The pose moved rigidly with its landmarks; as it is where these don't say how."""

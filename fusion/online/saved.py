@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from mapfuse.datasets.errors import FileFormatError, MapfuseError, Problem
+from mapfuse.datasets.errors import ConfigError, FileFormatError, MapfuseError, Problem
 from mapfuse.datasets.files import read_whole, write_whole
-from mapfuse.datasets.mapfile import map_from_dict, map_to_dict
+from mapfuse.datasets.jsondata import said
+from mapfuse.datasets.mapfile import check_map, map_from_dict, map_to_dict, noise_from_dict
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
+from mapfuse.datasets.rules import RuleError, table
 
-from ..config import FuseConfig
+from ..groups import strays
 from .config import OnlineConfig
-from .messages import Placed
-from .segment import Counters, Record, Segment
+from .messages import Placed, beyond
+from .segment import Counters, Record, Segment, way_of
 
 if TYPE_CHECKING:
     from .fuser import OnlineFuser
@@ -45,6 +47,15 @@ class _Way(msgspec.Struct):
     map: dict[str, Any]
 
 
+class _Placed(msgspec.Struct):
+    sequence: int
+    t: float
+    pose: list[float]
+    covariance: list[list[float]]
+    order: list[str]
+    positions: list[list[float]]
+
+
 class _Segment(msgspec.Struct):
     robot: str
     frame: int
@@ -53,8 +64,8 @@ class _Segment(msgspec.Struct):
     corrected: int
     records: list[_Said]
     ways: list[_Way]
-    placed: dict[str, Any] | None
-    counters: dict[str, int]
+    placed: _Placed | None
+    counters: Counters
     changed: list[str]
     heard: float | None
 
@@ -100,7 +111,7 @@ def document_of(data: bytes, path: str | Path) -> _File:
     """The document in the bytes of the file ``path``. Raises `FileFormatError` for another one or another version's."""
     try:
         head = msgspec.json.decode(data, type=_Head)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise no_fuser(path, "", f"is no saved fuser: {error}") from error
     if head.format != FORMAT:
         raise no_fuser(path, "format", f"must be {FORMAT!r}, not {str(head.format)[:40]!r}")
@@ -110,7 +121,7 @@ def document_of(data: bytes, path: str | Path) -> _File:
         raise no_fuser(path, "mapfuse", reason)
     try:
         return msgspec.json.decode(data, type=_File)
-    except msgspec.ValidationError as error:
+    except msgspec.DecodeError as error:
         raise no_fuser(path, "", f"is no saved fuser: {error}") from error
 
 
@@ -122,20 +133,36 @@ def read(kind: type[OnlineFuser], path: str | Path, *, worker: bool) -> OnlineFu
 def fuser_of(kind: type[OnlineFuser], document: _File, path: str | Path, *, worker: bool = False) -> OnlineFuser:
     """The fuser that a document of the file ``path`` holds."""
     try:
-        fuser = kind(_config(document.config), worker=worker)
-        weighed = [map_from_dict(m) for m in document.weighed]
-        segments = [_as_segment(s) for s in document.segments]
-        noise = {name: Noise(**n) for name, n in document.noise.items()}
-    except (MapfuseError, TypeError, ValueError, KeyError) as error:
-        raise no_fuser(path, "", f"is no saved fuser: {error}") from error
-    fuser.restore(
-        segments,
-        noise,
-        weighed={m.name: m for m in weighed},
-        new=document.new,
-        time=-np.inf if document.time is None else document.time,
-        fused_at=-np.inf if document.fused_at is None else document.fused_at,
-    )
+        config = msgspec.convert(document.config, OnlineConfig)
+    except (msgspec.ValidationError, ConfigError) as error:
+        raise no_fuser(path, "config", str(error)) from error
+    segments = [_as_segment(s, path, f"segments[{k}]") for k, s in enumerate(document.segments)]
+    names = [segment.name for segment in segments]
+    if (twice := next((k for k, name in enumerate(names) if name in names[:k]), None)) is not None:
+        raise no_fuser(path, f"segments[{twice}]", f"{names[twice]!r} stands there already")
+    weighed = {}
+    for k, record in enumerate(document.weighed):
+        m = map_from_dict(record, path, f"weighed[{k}]")
+        if m.name not in names or m.name in weighed:
+            raise no_fuser(path, f"weighed[{k}].name", f"{m.name!r} is no map of its own among the segments")
+        if problems := beyond(m.landmarks, m.noise):
+            raise no_fuser(path, f"weighed[{k}].{problems[0].place}", problems[0].reason)
+        weighed[m.name] = m
+    noise = {name: _noise(n, path, f"noise.{name}") for name, n in document.noise.items()}
+    fuser = kind(config, worker=worker)
+    try:
+        fuser.restore(
+            segments,
+            noise,
+            weighed=weighed,
+            new=document.new,
+            time=-np.inf if document.time is None else document.time,
+            fused_at=-np.inf if document.fused_at is None else document.fused_at,
+        )
+    except (MapfuseError, ArithmeticError, ValueError, RuntimeError) as error:
+        # each value may stand there, but nothing can be computed with all of them: gtsam and numpy say so in these
+        fuser.close()
+        raise no_fuser(path, "segments", f"can't be weighed again: {error}") from error
     return fuser
 
 
@@ -152,12 +179,6 @@ def _plain_noise(noise: Noise) -> dict[str, Any]:
     return {**asdict(noise), "extra": dict(noise.extra)}
 
 
-def _config(values: dict[str, Any]) -> OnlineConfig:
-    values = dict(values)
-    inside = values.pop("fuse")
-    return OnlineConfig(fuse=FuseConfig.from_dict(inside), **values)
-
-
 def _alone(segment: Segment, landmark: Landmark) -> dict[str, Any]:
     """A landmark as a map file has it, its links to others included."""
     targets = {link.connected_to_id for link in landmark.links} - {None, landmark.id}
@@ -166,16 +187,32 @@ def _alone(segment: Segment, landmark: Landmark) -> dict[str, Any]:
     return record
 
 
-def _landmark(name: str, record: dict[str, Any]) -> Landmark:
+def _landmark(name: str, record: dict[str, Any], path: str | Path, place: str) -> Landmark:
     """A landmark out of a map file's record; what its links lead to need not be there."""
-    targets = {link.get("connected_to_id") for link in record.get("links", ())} - {None, record["id"]}
+    links = record.get("links")
+    found = [link.get("connected_to_id") for link in links if isinstance(link, dict)] if isinstance(links, list) else []
+    targets = {target for target in found if isinstance(target, str) and target and target != record.get("id")}
     strangers = [{"id": target, "type": "door", "x": 0.0, "y": 0.0} for target in sorted(targets)]
     document = {"format": "mapfuse.map/1", "name": name, "landmarks": [record, *strangers]}
-    return map_from_dict(document).landmarks[0]
+    read, problems = check_map(document)
+    if read is None:
+        own = (Problem(place + problem.place.removeprefix("landmarks[0]"), problem.reason) for problem in problems)
+        raise FileFormatError(path, tuple(own))
+    return read.landmarks[0]
 
 
-def _with_link(link: Link) -> Landmark:
-    return Landmark("a", "door", 0.0, 0.0, links=(link,))
+def _noise(record: dict[str, Any], path: str | Path, place: str) -> Noise:
+    extra = record.get("extra", {})
+    if not isinstance(extra, dict):
+        raise no_fuser(path, f"{place}.extra", f"must be an object, not {said(extra)}")
+    noise = noise_from_dict(extra | {key: value for key, value in record.items() if key != "extra"}, path, place)
+    if problems := beyond((), noise):
+        raise no_fuser(path, place + problems[0].place.removeprefix("noise"), problems[0].reason)
+    return noise
+
+
+def _with_link(at: str, link: Link) -> Landmark:
+    return Landmark(at, "door", 0.0, 0.0, links=(link,))
 
 
 def _segment(segment: Segment) -> _Segment:
@@ -190,45 +227,73 @@ def _segment(segment: Segment) -> _Segment:
             _Said(name, r.sequence, None if r.landmark is None else _alone(segment, r.landmark))
             for name, r in segment.records.items()
         ],
-        [_Way(at, to, n, _alone(segment, _with_link(link))) for (at, to), (n, link) in segment.ways.items()],
+        [
+            _Way(at, str(to), n, _alone(segment, _with_link(at, link)))
+            for at, ways in segment.ways.items()
+            for to, (n, link) in ways.items()
+        ],
         None
         if placed is None
-        else {
-            "sequence": placed.sequence,
-            "t": placed.t,
-            "pose": placed.pose.tolist(),
-            "covariance": placed.covariance.tolist(),
-            "order": list(placed.order),
-            "positions": placed.positions.tolist(),
-        },
-        asdict(segment.counters),
+        else _Placed(
+            placed.sequence,
+            placed.t,
+            placed.pose.tolist(),
+            placed.covariance.tolist(),
+            list(placed.order),
+            placed.positions.tolist(),
+        ),
+        segment.counters,
         sorted(segment.changed),
         _number(segment.heard),
     )
 
 
-def _as_segment(saved: _Segment) -> Segment:
-    segment = Segment(saved.robot, saved.frame, Noise(**saved.noise))
-    segment.base = None if saved.base is None else map_from_dict(saved.base)
+def _as_segment(saved: _Segment, path: str | Path, place: str) -> Segment:
+    if not saved.robot or saved.frame < 0:
+        raise no_fuser(path, place, "needs a robot with a name, and a frame of 0 or more")
+    segment = Segment(saved.robot, saved.frame, _noise(saved.noise, path, f"{place}.noise"))
+    if saved.base is not None:
+        segment.base = map_from_dict(saved.base, path, f"{place}.base")
+        if problems := beyond(segment.base.landmarks, segment.base.noise) or strays(segment.base):
+            raise FileFormatError(path, tuple(Problem(f"{place}.base.{p.place}", p.reason) for p in problems))
     segment.corrected = saved.corrected
-    for said in saved.records:
-        landmark = None if said.map is None else _landmark(segment.name, said.map)
-        segment.records[said.id] = Record(said.sequence, landmark)
-    for way in saved.ways:
-        segment.ways[way.at, way.to] = (way.sequence, _landmark(segment.name, way.map).links[0])
+    for k, said_ in enumerate(saved.records):
+        where = f"{place}.records[{k}]"
+        landmark = None if said_.map is None else _landmark(segment.name, said_.map, path, f"{where}.map")
+        if landmark is not None and landmark.id != said_.id:
+            raise no_fuser(path, f"{where}.id", f"is {said(said_.id)}, its map's {said(landmark.id)}")
+        if landmark is not None and (problems := beyond((landmark,))):
+            raise no_fuser(path, f"{where}.map", problems[0].reason)
+        segment.records[said_.id] = Record(said_.sequence, landmark)
+    for k, way in enumerate(saved.ways):
+        where = f"{place}.ways[{k}].map"
+        links = _landmark(segment.name, way.map, path, where).links
+        if len(links) != 1:
+            raise no_fuser(path, f"{where}.links", f"must hold one link, not {len(links)}")
+        ways = segment.ways.setdefault(way.at, {})
+        if way.sequence > ways.get(way_of(links[0]), (-1, None))[0]:
+            ways[way_of(links[0])] = (way.sequence, links[0])
     if saved.placed is not None:
-        p = saved.placed
-        segment.placed = Placed(
-            robot=saved.robot,
-            frame=saved.frame,
-            sequence=p["sequence"],
-            t=p["t"],
-            pose=np.array(p["pose"]),
-            covariance=np.array(p["covariance"]),
-            order=tuple(p["order"]),
-            positions=np.array(p["positions"]).reshape(-1, 2),
-        )
-    segment.counters = Counters(**saved.counters)
+        segment.placed = _placed(saved, saved.placed, path, f"{place}.placed")
+    segment.counters = saved.counters
     segment.changed = set(saved.changed)
     segment.heard = -np.inf if saved.heard is None else saved.heard
     return segment
+
+
+def _placed(segment: _Segment, placed: _Placed, path: str | Path, place: str) -> Placed:
+    try:
+        return Placed(
+            robot=segment.robot,
+            frame=segment.frame,
+            sequence=placed.sequence,
+            t=placed.t,
+            pose=np.array(placed.pose),
+            covariance=table(placed.covariance, None),
+            order=tuple(placed.order),
+            positions=table(placed.positions, 2),
+        )
+    except MapfuseError as error:
+        raise no_fuser(path, place, str(error)) from error
+    except RuleError as error:
+        raise no_fuser(path, place, error.faults[0][1]) from error

@@ -9,6 +9,7 @@ import msgspec
 
 from mapfuse.datasets.files import read_whole
 from mapfuse.datasets.mapper import Mapper
+from mapfuse.datasets.rules import MAX_COUNT
 
 from .feed import Feed
 from .fuser import OnlineFuser
@@ -65,9 +66,11 @@ def load_replay(path: str | Path) -> tuple[OnlineFuser, dict[str, Earlier]]:
     for name, raw in document.feeds.items():
         try:
             saved = msgspec.json.decode(raw, type=_Feed)
-        except msgspec.ValidationError as error:
+        except msgspec.DecodeError as error:
             raise no_fuser(path, f"feeds.{name}", str(error)) from error
-        mapper = Mapper.from_json(saved.mapper, path)
+        if not name or not 0 <= saved.sequence <= MAX_COUNT:
+            raise no_fuser(path, f"feeds.{name}", "needs a name, and a sequence of 0 or more")
+        mapper = Mapper.from_json(saved.mapper, path, f"feeds.{name}.mapper")
         feed = Feed(mapper.header, name=name)
         feed.mapper, feed.sequence, feed.t, feed.stale = mapper, saved.sequence, saved.t, saved.stale
         robots[name] = Earlier(feed, saved.offset)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -16,6 +17,10 @@ from .messages import Correction, LandmarkLink, LandmarkSeen, Message, Placed, R
 #: Arms of a landmark nearer to each other than this [rad] are one.
 ONE_ARM = 0.35
 MOST_LINKS = 4
+#: Links without a landmark at the other end are told apart by their direction, in this many bins of a whole turn, each
+#: narrower than `ONE_ARM`: of one bin the newest holds. By nearness to another the last of them would hang on the order
+#: in which they come.
+BINS = math.ceil(2 * math.pi / ONE_ARM)
 
 
 class Record(NamedTuple):
@@ -39,7 +44,7 @@ class Segment:
     """One robot's map in one frame.
 
     ``corrected``: the message that `base` is of (-1: none). ``records``, ``ways``: landmarks and links that were sent
-    since, by id and by (id, where to). ``changed``: ids of landmarks that are new, gone or otherwise there since
+    since, by id, the links then by `way_of`. ``changed``: ids of landmarks that are new, gone or otherwise there since
     `settle` was called last.
     """
 
@@ -49,7 +54,7 @@ class Segment:
     base: LandmarkMap | None = None
     corrected: int = -1
     records: dict[str, Record] = field(default_factory=dict)
-    ways: dict[tuple[str, str], tuple[int, Link]] = field(default_factory=dict)
+    ways: dict[str, dict[str | int | None, tuple[int, Link]]] = field(default_factory=dict)
     placed: Placed | None = None
     counters: Counters = field(default_factory=Counters)
     changed: set[str] = field(default_factory=set)
@@ -111,14 +116,14 @@ class Segment:
         return self._touched(name, before)
 
     def _link(self, message: LandmarkLink) -> tuple[str, ...]:
-        target = message.link.connected_to_id
-        to = target if target is not None else f"\0{message.link.heading!r}"
-        known = self.ways.get((message.id, to))
+        ways, to = self.ways.get(message.id, {}), way_of(message.link)
+        known = ways.get(to)
         if known is not None and message.sequence <= known[0]:
             self._old(message.sequence, known[0])
             return ()
         before = self.landmark(message.id)
-        self.ways[message.id, to] = (message.sequence, message.link)
+        ways[to] = (message.sequence, message.link)
+        self.ways[message.id] = ways
         return self._touched(message.id, before)
 
     def _touched(self, name: str, before: Landmark | None) -> tuple[str, ...]:
@@ -135,7 +140,10 @@ class Segment:
         before = {l.id: l for l in self.landmarks()}
         self.base, self.corrected, self.noise = message.map, message.sequence, message.map.noise
         self.records = {name: r for name, r in self.records.items() if r.sequence > message.sequence}
-        self.ways = {key: way for key, way in self.ways.items() if way[0] > message.sequence}
+        left = {
+            at: {to: way for to, way in ways.items() if way[0] > message.sequence} for at, ways in self.ways.items()
+        }
+        self.ways = {at: ways for at, ways in left.items() if ways}
         self._map = None
         after = {l.id: l for l in self.landmarks()}
         touched = tuple(name for name in {**before, **after} if before.get(name) != after.get(name))
@@ -153,11 +161,9 @@ class Segment:
         else:
             place = None if self.base is None else self.base.index_from_id.get(name)
             found = None if place is None or self.base is None else self.base.landmarks[place]
-        if found is None or not self.ways:
+        if found is None or name not in self.ways:
             return found
-        own = sorted(
-            (way for (at, _), way in self.ways.items() if at == name and way[0] > sequence), key=lambda w: w[0]
-        )
+        own = sorted((way for way in self.ways[name].values() if way[0] > sequence), key=lambda w: w[0])
         return with_links(found, [link for _, link in own]) if own else found
 
     def landmarks(self) -> list[Landmark]:
@@ -212,6 +218,17 @@ def _alike(a: Landmark | None, b: Landmark | None) -> bool:
     if a is None or b is None or a.type != b.type:
         return False
     return [(l.type, l.connected_to_id) for l in a.links] == [(l.type, l.connected_to_id) for l in b.links]
+
+
+def way_of(link: Link) -> str | int | None:
+    """What tells the links of a landmark apart: where they lead, or else the bin of their direction, if they have one.
+
+    >>> way_of(Link("open", 0.0, None, "b")), way_of(Link("open", 0.01)) == way_of(Link("open", 0.03))
+    ('b', True)
+    """
+    if link.connected_to_id is not None or link.heading is None:
+        return link.connected_to_id
+    return math.floor(link.heading / (2 * math.pi) * BINS) % BINS
 
 
 def with_links(landmark: Landmark, links: list[Link]) -> Landmark:
