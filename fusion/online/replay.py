@@ -44,8 +44,12 @@ class Replay:
         """``earlier``: robots of an earlier part; a log of the same name goes on from there."""
         earlier = earlier or {}
         names = [log.header.name for log in logs]
-        if len(set(names)) < len(names):
-            raise MapfuseError("two logs have one name; names must differ, since results refer to them")
+        if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
+            files = [str(log.path) for log in logs if log.header.name == twice and log.path is not None]
+            where = f" ({', '.join(files)})" if files else ""
+            raise MapfuseError(
+                f"two logs have one name, {twice!r}{where}; names must differ, since results refer to them"
+            )
         self.logs = tuple(logs)
         self.fuser = fuser or OnlineFuser()
         self.feeds = {name: robot.feed for name, robot in earlier.items()}

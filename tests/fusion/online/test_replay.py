@@ -208,7 +208,7 @@ def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
         (["west", "east", "--speed", "0"], "--speed"),
         (["west", "east", "--video", "film.avi"], "must end in one of .mp4, .gif"),
         (["west", "east", "--events", "nowhere/e.jsonl"], "there is no folder"),
-        (["west", "west"], "one name"),
+        (["west", "east", "west2"], "two logs have one name, 'west' (west, west2)"),
         (["west", "none"], "none"),
     ],
 )
@@ -216,6 +216,7 @@ def test_wrong_usage_is_said_in_a_sentence(arguments, said, logs, tmp_path, comm
     monkeypatch.chdir(tmp_path)
     for log in logs:
         write_log(log, tmp_path / log.header.name)
+    write_log(logs[0], tmp_path / "west2")
     assert command("replay", *arguments) == 2
     assert said in capsys.readouterr().err
 
