@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import Quiet, UsageError, Verbose, check_outputs, say, warn_on_stderr, writing
+from .console import Quiet, UsageError, Verbose, check_outputs, note, say, warn_on_stderr, writing
+from .map import remarks
 from .names import NamePoints, NoIds, named
 from .progress import progress
 
@@ -98,6 +99,9 @@ def replay(
         say(summarise(fused))
         for name, place in sorted(run.fuser.places().items()):
             say(f"{name} is at {_where(place)}")
+        for name, feed in run.feeds.items():
+            for line in remarks(feed.mapper.counters, run.fuser.segments[name].map(), named=name_points):
+                note(f"mapfuse: {name}: {line}")
     if events is not None:
         from mapfuse.fusion.online.events import write_events
 

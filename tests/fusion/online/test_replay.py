@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
-from mapfuse.datasets.errors import FileFormatError
+from mapfuse.datasets.errors import FileFormatError, MapfuseError
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.fusion import OnlineFuser, fuse, read_fused
@@ -182,6 +184,81 @@ def test_clocks_stay_common_in_the_second_part():
     headers = [LogHeader("a", recorded_at=at("10")), LogHeader("b", recorded_at=at("40"))]
     # the first part's common clock began 5 s before a's log
     assert offsets(headers, [5.0]) == [5.0, 35.0]
+
+
+def restarted(log: Log, cut: float, **header: object) -> Log:
+    """What came from a time on [s], by a clock that began there."""
+    later = [e for e in log.events if e.t >= cut]
+    return Log(replace(log.header, **header), [msgspec.structs.replace(e, t=e.t - cut) for e in later])
+
+
+def test_a_second_part_by_its_own_clock_goes_on_where_recorded_at_says(logs, replayed, tmp_path):
+    at = "2000-07-01T10:00:{}Z".format
+    dated = [Log(replace(log.header, recorded_at=at("00")), log.events) for log in logs]
+    first = Replay(parts(dated, 20.0)[0])
+    for _ in first.run():
+        pass
+    first.save(tmp_path / "state.json")
+    again = Replay.resume(tmp_path / "state.json", [restarted(log, 20.0, recorded_at=at("20")) for log in dated])
+    moments = [moment.t for moment in again.run()]
+    assert min(moments) >= 20.0
+    fused, straight = again.fuser.fused(), replayed.fuser.fused()
+    assert fused.maps == straight.maps
+    assert np.abs(fused.frames["east"].T.array - straight.frames["east"].T.array).max() < 1e-9
+    # and on: a third part by the clock of the second is one of the first's robots all the same
+    again.save(tmp_path / "state.json")
+    third = Log(replace(dated[0].header, recorded_at=at("20")), [Odometry(30.0, 48.0, 0.0, 0.0)])
+    assert [t for t, _, _ in Replay.resume(tmp_path / "state.json", [third]).events()] == [50.0]
+
+
+def test_a_log_that_begins_before_the_state_is_refused(logs, tmp_path, command, capsys):
+    first, later = parts(logs, 20.0)
+    for k, part in enumerate((first, later)):
+        for log in part:
+            write_log(log, tmp_path / f"{log.header.name}{k}.log.jsonl")
+    state, out = tmp_path / "state.json", tmp_path / "both.fused.json"
+    names = ("west", "east")
+    assert command("replay", *(tmp_path / f"{n}0.log.jsonl" for n in names), "--quiet", "--save-state", state) == 0
+    before = state.read_bytes()
+    grown, restart = tmp_path / "grown.log.jsonl", tmp_path / "restart.log.jsonl"
+    write_log(logs[1], grown)
+    write_log(restarted(logs[1], 20.0), restart)
+    for file, begins, ends in ((grown, "0.000", "39.000"), (restart, "0.000", "19.000")):
+        arguments = [tmp_path / "west1.log.jsonl", file, "--resume", state, "--save-state", state, "-o", out]
+        assert command("replay", *arguments) == 2
+        told = capsys.readouterr().err
+        assert f"{file}: holds events of {begins} to {ends} s, and the state knows 'east' up to 19.800 s" in told
+        assert not out.exists()
+        assert state.read_bytes() == before
+    # of a log in memory there is no file to name
+    with pytest.raises(MapfuseError, match=r"log 'east': holds events of 0\.000 to 39\.000 s"):
+        next(Replay.resume(state, [later[0], logs[1]]).events())
+    # the moment itself is no overlap: what was seen in it may be in both parts' files
+    assert next(Replay.resume(state, [Log(logs[0].header, [Odometry(19.8, 19.8, 0.0, 0.0)])]).events())[0] == 19.8
+
+
+def test_times_below_zero_can_be_gone_on_from(tmp_path):
+    first = Replay([Log(LogHeader(name), [Odometry(-9.0, 0.0, 0.0, 0.0)] * k) for k, name in enumerate("ab")])
+    for _ in first.run():
+        pass
+    first.save(tmp_path / "state.json")
+    later = [Log(LogHeader(name), [Odometry(-8.0, 1.0, 0.0, 0.0)]) for name in "ab"]
+    again = Replay.resume(tmp_path / "state.json", later)
+    assert again.t == -9.0
+    assert [t for t, _, _ in again.events()] == [-8.0, -8.0]
+
+
+def test_what_a_robot_could_not_use_is_said(logs, tmp_path, command, capsys):
+    west, east = logs
+    doubled = tuple(e for event in west.events for e in ([event] * (2 if isinstance(event, Detection) else 1)))
+    count = len(doubled) - len(west.events)
+    files = [tmp_path / "west", tmp_path / "east"]
+    write_log(Log(west.header, doubled), files[0])
+    write_log(east, files[1])
+    assert command("replay", *files) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert f"mapfuse: west: {count} detections came twice and count once" in told
+    assert not any(line.startswith("mapfuse: east:") for line in told)
 
 
 def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
