@@ -76,6 +76,8 @@ def replay(
     check_outputs(outputs, inputs)
     if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
         raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
+    if name_points and (resume is not None or save_state is not None):
+        raise UsageError("--name-points: needs whole logs, so it can't be used with --resume or --save-state")
     warn_on_stderr(verbose=verbose)
     recorded = [
         named(log, no_ids=no_ids, name_points=name_points, quiet=quiet).log for log in _logs(logs, strict=strict)

@@ -287,6 +287,8 @@ def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
         (["west", "east", "--events", "nowhere/e.jsonl"], "there is no folder"),
         (["west", "east", "west2"], "two logs have one name, 'west' (west, west2)"),
         (["west", "none"], "none"),
+        (["west", "east", "--name-points", "--save-state", "state"], "--name-points: needs whole logs"),
+        (["west", "east", "--name-points", "--resume", "state"], "--name-points: needs whole logs"),
     ],
 )
 def test_wrong_usage_is_said_in_a_sentence(arguments, said, logs, tmp_path, command, capsys, monkeypatch):
