@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import Quiet, UsageError, Verbose, check_outputs, note, say, warn_on_stderr, writing
+from .console import Quiet, UsageError, Verbose, check_folder, check_outputs, note, say, warn_on_stderr
 from .map import remarks
 from .names import NamePoints, NoIds, named
 from .progress import progress
@@ -74,10 +74,9 @@ def replay(
     outputs = {"-o": output, "--events": events, "--video": video, "--save-state": save_state}
     inputs = [path for path in (*logs, resume) if path is not None and path != save_state and not path.is_dir()]
     check_outputs(outputs, inputs)
-    if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
-        raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
     if name_points and (resume is not None or save_state is not None):
         raise UsageError("--name-points: needs whole logs, so it can't be used with --resume or --save-state")
+    check_folder("--snapshots", snapshots, outputs)
     warn_on_stderr(verbose=verbose)
     recorded = [
         named(log, no_ids=no_ids, name_points=name_points, quiet=quiet).log for log in _logs(logs, strict=strict)
@@ -207,8 +206,6 @@ def _snapshot(run: Replay, folder: Path, t: float) -> None:
     """The answer by now as a result file, named by its time in seconds."""
     from mapfuse.fusion import write_fused
 
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     write_fused(run.fuser.fused(), folder / f"{t:09.1f}.fused.json")
 
 

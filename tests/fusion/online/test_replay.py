@@ -287,6 +287,15 @@ def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
         (["west", "east", "--events", "nowhere/e.jsonl"], "there is no folder"),
         (["west", "east", "west2"], "two logs have one name, 'west' (west, west2)"),
         (["west", "none"], "none"),
+        (["west", "east", "--snapshots", "west/none"], "--snapshots west/none: can't be written"),
+        pytest.param(
+            ["west", "east", "--snapshots", "/proc/self"],
+            "--snapshots /proc/self: can't be written",
+            marks=pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc here"),
+        ),
+        (["west", "east", "--snapshots", "west"], "--snapshots west: is a file; give a folder"),
+        (["west", "east", "--snapshots", "new", "-o", "new"], "--snapshots new: can't be a folder, since -o new"),
+        (["west", "east", "--snapshots", "e/s", "--events", "e"], "--snapshots e/s: can't be a folder, since --events"),
         (["west", "east", "--name-points", "--save-state", "state"], "--name-points: needs whole logs"),
         (["west", "east", "--name-points", "--resume", "state"], "--name-points: needs whole logs"),
     ],
@@ -296,8 +305,10 @@ def test_wrong_usage_is_said_in_a_sentence(arguments, said, logs, tmp_path, comm
     for log in logs:
         write_log(log, tmp_path / log.header.name)
     write_log(logs[0], tmp_path / "west2")
+    monkeypatch.setattr(Replay, "run", lambda *_, **__: pytest.fail("replayed what could be refused before"))
     assert command("replay", *arguments) == 2
     assert said in capsys.readouterr().err
+    assert not any((tmp_path / name).exists() for name in ("new", "e"))
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is not None, reason="ffmpeg is here")
