@@ -92,14 +92,17 @@ class Replay:
 
     def run(self, *, every: float | None = None) -> Iterator[Moment]:
         """All events in the order of their times; a moment each time when the fuser has answered, and ``every`` so
-        many seconds of the log; at the end one more, when everything is weighed."""
+        many seconds of the log; at the end one more, when everything is weighed. At each the fuser knows where the
+        robots are by then (`OnlineFuser.places`)."""
         due = every
         for t, name, event in self.events():
             if due is not None and every is not None and t >= due:
+                self.place()
                 yield Moment(self.t, False)
                 due = _after(t, every)
             self.t = t
             if self.step(name, event, t):
+                self.place()
                 yield Moment(t, True)
         self.finish()
         yield Moment(self.t, True)
@@ -146,6 +149,13 @@ class Replay:
                 self.fuser.take(_at(feed.correction(), self.t))
             if feed.mapper.landmarks:
                 self.fuser.take(_at(feed.placed(), self.t))
+
+    def place(self) -> None:
+        """Every robot says where it is by now."""
+        for feed in self.feeds.values():
+            if feed.mapper.landmarks:
+                # past the fuser, whose clock has its worker's answers taken up: looking must change nothing
+                self.fuser.segments[feed.name].take(_at(feed.placed(), self.t))
 
     def finish(self) -> None:
         """Everything said and weighed."""

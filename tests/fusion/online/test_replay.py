@@ -92,6 +92,27 @@ def test_robots_know_where_they_are_in_each_others_map(replayed: Replay):
         assert np.linalg.eigvalsh(place.pose.covariance).min() > 0
 
 
+def test_at_each_moment_robots_are_where_they_are_by_then(logs: tuple[Log, Log]):
+    quiet, looked_at = (Replay(parts(logs, 30.0)[0]) for _ in range(2))
+    for _ in quiet.run():
+        pass
+    seen = 0
+    for moment in looked_at.run(every=1.0):
+        for name, place in looked_at.fuser.places().items():
+            assert place.t == moment.t
+            if len(looked_at.fuser.current.groups) > 1:
+                # nothing is merged, so that a robot is where its own mapper has it
+                seen += 1
+                pose = looked_at.feeds[name].mapper.pose
+                assert np.hypot(*(place.pose.array - pose)[:2]) < 0.1
+                assert place.frame_of == name
+    assert seen > 10
+    # who looks changes nothing
+    assert list(looked_at.fuser.events()) == list(quiet.fuser.events())
+    assert looked_at.fuser.fused().frames == quiet.fuser.fused().frames
+    assert looked_at.fuser.time == quiet.fuser.time
+
+
 def test_the_same_logs_give_the_same_events(logs: tuple[Log, Log], tmp_path: Path, command):
     files = []
     for log in logs:
