@@ -15,6 +15,7 @@ from mapfuse.datasets.errors import FileFormatError, MapfuseError
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.fusion import OnlineFuser, fuse, read_fused
+from mapfuse.fusion.cli.replay import shot_of
 from mapfuse.fusion.online.replay import Replay, offsets
 
 #: Places along a corridor (x, what is there), uneven, so that it looks like itself only in one way.
@@ -90,6 +91,13 @@ def test_robots_know_where_they_are_in_each_others_map(replayed: Replay):
         assert abs(place.pose.x - true) < 4 * sigma[0] + 0.05
         assert sigma[0] < 1.0
         assert np.linalg.eigvalsh(place.pose.covariance).min() > 0
+
+
+def test_a_film_shows_robots_where_they_are_said_to_be(replayed: Replay):
+    shot, places = shot_of(replayed, replayed.t), replayed.fuser.places()
+    assert shot.shared.keys() == places.keys() == {"west", "east"}
+    for name, place in places.items():
+        assert np.array_equal(shot.shared[name], place.pose.array)
 
 
 def test_at_each_moment_robots_are_where_they_are_by_then(logs: tuple[Log, Log]):
