@@ -67,9 +67,9 @@ def read_log(path: str | Path, *, strict: bool = False, report: LogReport | None
         stream.close()
         raise
     if path.is_fifo():
-        return Log(header, Events(path, strict, report, stream))
+        return Log(header, Events(path, strict, report, stream), path)
     stream.close()
-    return Log(header, Events(path, strict, report, None))
+    return Log(header, Events(path, strict, report, None), path)
 
 
 def write_log(log: Log, path: str | Path) -> None:

@@ -8,7 +8,8 @@ them are decoded from a file in about a second, which dataclasses can't do.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import msgspec
@@ -158,14 +159,18 @@ class LogHeader:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A header and its events, in the order of the recording; ``events`` may be a stream that runs once."""
+    """A header and its events, in the order of the recording; ``events`` may be a stream that runs once.
+
+    ``path``: the file that it was read from, for what is said of it.
+    """
 
     header: LogHeader
     events: Iterable[Event]
+    path: Path | None = field(default=None, compare=False)
 
     def without_ids(self) -> Log:
         """The same log, its detections without the names that they carry."""
-        return Log(self.header, _WithoutIds(self.events))
+        return replace(self, events=_WithoutIds(self.events))
 
 
 class _WithoutIds(Iterable[Event]):

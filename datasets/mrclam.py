@@ -102,7 +102,7 @@ def read_mrclam_log(folder: str | Path, robot: int, *, barcodes: bool = True) ->
     events: list[Event] = sorted([*moves, *looks], key=lambda event: event.t)
     name = f"{files.folder.name}-robot{robot}"
     began = datetime.fromtimestamp(start, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    return Log(LogHeader(name, f"robot{robot}", began, SENSORS), events)
+    return Log(LogHeader(name, f"robot{robot}", began, SENSORS), events, files.folder)
 
 
 def read_mrclam_truth(folder: str | Path, robot: int) -> LogTruth:

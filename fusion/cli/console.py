@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -132,6 +133,26 @@ def check_outputs(path_from_option: Mapping[str, Path | None], inputs: Sequence[
         if not os.access(target if target.exists() else target.parent, os.W_OK):
             raise UsageError(f"{option} {path}: may not be written")
         option_from_target[target] = option
+
+
+def check_folder(option: str, folder: Path | None, path_from_option: Mapping[str, Path | None]) -> None:
+    """Make the folder that files are to be written into, so that it is there and can be written to.
+
+    Raises `UsageError` where it can't, or where another output is that folder or one above it.
+    """
+    if folder is None:
+        return
+    target = Path(os.path.realpath(folder))
+    if target.exists() and not target.is_dir():
+        raise UsageError(f"{option} {folder}: is a file; give a folder")
+    for other, path in path_from_option.items():
+        if path is not None and Path(os.path.realpath(path)) in (target, *target.parents):
+            raise UsageError(f"{option} {folder}: can't be a folder, since {other} {path} is to be a file")
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(prefix=".mapfuse-", dir=target).close()
+    except OSError as error:
+        raise UsageError(f"{option} {folder}: can't be written: {error.strerror or error}") from error
 
 
 def check_picture(option: str, path: Path | None) -> None:

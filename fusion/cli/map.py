@@ -15,6 +15,7 @@ from .progress import stages, watched
 if TYPE_CHECKING:
     from mapfuse.datasets.logs import Log, LogTruth
     from mapfuse.datasets.mapper import Mapper
+    from mapfuse.datasets.mapper.saved import Counters
     from mapfuse.datasets.maps import LandmarkMap
     from mapfuse.datasets.truth import Truth
 
@@ -112,7 +113,7 @@ def map_file(
         _draw(recorded, made, known, plot)
     if walls and not _walls_known(made):
         note("mapfuse: --walls: no walls were seen, so the map is as one without --walls")
-    for line in () if quiet else _remarks(mapper, made, named=name_points):
+    for line in () if quiet else remarks(mapper.counters, made, named=name_points):
         note(f"mapfuse: {line}")
     for path in (output, truth_output, plot, save_state):
         if path is not None:
@@ -199,9 +200,8 @@ def _walls_known(made: LandmarkMap) -> bool:
     return joint is not None and joint.keyframes is not None
 
 
-def _remarks(mapper: Mapper, made: LandmarkMap, *, named: bool) -> list[str]:
+def remarks(counters: Counters, made: LandmarkMap, *, named: bool) -> list[str]:
     """What the mapper could not use as it was; ``named``: points had been given names before."""
-    counters = mapper.counters
     said = {
         "late": "events came late",
         "doubled": "detections came twice and count once",

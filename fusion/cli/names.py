@@ -63,4 +63,6 @@ def named(log: Log, *, no_ids: bool, name_points: bool, quiet: bool) -> Named:
     events = list(log.events)
     with stages(f"naming what {log.header.name} saw", quiet=quiet):
         found = name_detections(Log(log.header, events))
-    return Named(found.log, found.numbers, sum(isinstance(event, Detection) for event in events))
+    return Named(
+        replace(found.log, path=log.path), found.numbers, sum(isinstance(event, Detection) for event in events)
+    )

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .console import Quiet, UsageError, Verbose, check_outputs, say, warn_on_stderr, writing
+from .console import Quiet, UsageError, Verbose, check_folder, check_outputs, note, say, warn_on_stderr
+from .map import remarks
 from .names import NamePoints, NoIds, named
 from .progress import progress
 
@@ -73,8 +74,9 @@ def replay(
     outputs = {"-o": output, "--events": events, "--video": video, "--save-state": save_state}
     inputs = [path for path in (*logs, resume) if path is not None and path != save_state and not path.is_dir()]
     check_outputs(outputs, inputs)
-    if snapshots is not None and snapshots.exists() and not snapshots.is_dir():
-        raise UsageError(f"--snapshots {snapshots}: is a file; give a folder")
+    if name_points and (resume is not None or save_state is not None):
+        raise UsageError("--name-points: needs whole logs, so it can't be used with --resume or --save-state")
+    check_folder("--snapshots", snapshots, outputs)
     warn_on_stderr(verbose=verbose)
     recorded = [
         named(log, no_ids=no_ids, name_points=name_points, quiet=quiet).log for log in _logs(logs, strict=strict)
@@ -98,6 +100,9 @@ def replay(
         say(summarise(fused))
         for name, place in sorted(run.fuser.places().items()):
             say(f"{name} is at {_where(place)}")
+        for name, feed in run.feeds.items():
+            for line in remarks(feed.mapper.counters, run.fuser.segments[name].map(), named=name_points):
+                note(f"mapfuse: {name}: {line}")
     if events is not None:
         from mapfuse.fusion.online.events import write_events
 
@@ -152,7 +157,17 @@ def _run(
         every = None
         if drawn or speed is not None:
             every = (speed / FRAMES) if speed is not None else _length(run) / (FILM_SECONDS * FRAMES)
-        begun = time.monotonic()
+
+        def draw(t: float) -> None:
+            shot = shot_of(run, t)
+            if film is not None:
+                film.add(shot)
+            if show is not None:
+                show(shot)
+
+        shown = False
+        start: float | None = None
+        begun = 0.0
         for moment in run.run(every=every):
             advance(1)
             fresh = list(run.fuser.events())
@@ -163,16 +178,17 @@ def _run(
                         say(f"{moment.t:8.1f} s  {told(event)}")
             if snapshots is not None and any(e.kind in ("merged", "revised", "un-merged") for e in fresh):
                 _snapshot(run, snapshots, moment.t)
-            if drawn and (not moment.weighed or fresh):
-                shot = shot_of(run, moment.t)
-                if film is not None:
-                    film.add(shot)
-                if show is not None:
-                    show(shot)
+            shown = not moment.weighed or bool(fresh)
+            if drawn and shown:
+                draw(moment.t)
             if speed is not None:
-                ahead = moment.t / speed - (time.monotonic() - begun)
+                if start is None:
+                    start, begun = moment.t, time.monotonic()
+                ahead = (moment.t - start) / speed - (time.monotonic() - begun)
                 if ahead > 0:
                     time.sleep(ahead)
+        if drawn and not shown:
+            draw(run.t)
     if snapshots is not None:
         _snapshot(run, snapshots, run.t)
     return happened
@@ -189,20 +205,17 @@ def _where(place: Place) -> str:
 
 
 def _length(run: Replay) -> float:
-    """How long the logs are [s], which reads them once."""
-    last = run.t
-    for log, offset in zip(run.logs, run.offsets, strict=True):
-        for event in log.events:
-            last = max(last, event.t + offset)
-    return max(last - run.t, 1.0)
+    """How long the logs are together [s], a second at least, which reads them once."""
+    first = last = None
+    for last, _, _ in run.events():
+        first = last if first is None else first
+    return 1.0 if first is None or last is None else max(last - first, 1.0)
 
 
 def _snapshot(run: Replay, folder: Path, t: float) -> None:
     """The answer by now as a result file, named by its time in seconds."""
     from mapfuse.fusion import write_fused
 
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     write_fused(run.fuser.fused(), folder / f"{t:09.1f}.fused.json")
 
 
@@ -227,12 +240,9 @@ def shot_of(run: Replay, t: float) -> Shot:
     fused = fuser.answer
     robots = {name: feed.mapper.pose for name, feed in run.feeds.items() if name in maps}
     shared = {}
-    if fused is not None:
-        from mapfuse.datasets import se2
-
-        shared = {
-            name: se2.compose(fused.frames[name].T.array, pose) for name, pose in robots.items() if name in fused.frames
-        }
+    if fused is not None and any(len(group) > 1 for group in fused.groups):
+        first = {name: group[0] for group in fused.groups for name in group}
+        shared = {n: place.pose.array for n, place in fuser.places().items() if place.frame_of == first.get(n)}
     return Shot(t, maps, fused, robots, shared)
 
 

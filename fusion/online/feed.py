@@ -31,7 +31,7 @@ class Feed:
         self.mapper = Mapper(header, config)
         self.name = name or header.name
         self.sequence = 0
-        self.t = 0.0
+        self.t = float("-inf")
         self.stale = False
 
     def update(self, event: Event) -> Iterator[Message]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import msgspec
@@ -27,7 +28,7 @@ class Earlier:
 class _Feed(msgspec.Struct):
     mapper: msgspec.Raw
     sequence: int
-    t: float
+    t: float | None
     stale: bool
     offset: float
 
@@ -40,7 +41,7 @@ def save_replay(path: str | Path, fuser: OnlineFuser, robots: dict[str, Earlier]
                 _Feed(
                     msgspec.Raw(robot.feed.mapper.to_json()),
                     robot.feed.sequence,
-                    robot.feed.t,
+                    robot.feed.t if isfinite(robot.feed.t) else None,
                     robot.feed.stale,
                     robot.offset,
                 )
@@ -72,6 +73,7 @@ def load_replay(path: str | Path) -> tuple[OnlineFuser, dict[str, Earlier]]:
             raise no_fuser(path, f"feeds.{name}", "needs a name, and a sequence of 0 or more")
         mapper = Mapper.from_json(saved.mapper, path, f"feeds.{name}.mapper")
         feed = Feed(mapper.header, name=name)
-        feed.mapper, feed.sequence, feed.t, feed.stale = mapper, saved.sequence, saved.t, saved.stale
+        feed.mapper, feed.sequence, feed.stale = mapper, saved.sequence, saved.stale
+        feed.t = float("-inf") if saved.t is None else saved.t
         robots[name] = Earlier(feed, saved.offset)
     return fuser_of(OnlineFuser, document, path), robots

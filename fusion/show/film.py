@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -17,12 +18,14 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.errors import ConfigError, OutputError
 from mapfuse.datasets.maps import LandmarkMap
 
 from ..result import FusedMap, PairResult
+from .gif import GifStream
 from .panel import draw_scene
 from .scene import Scene, scene_of_group, scene_of_map
 from .style import GREY, INK, owner, sizes
@@ -73,15 +76,11 @@ class Film:
     """
 
     def __init__(self, path: str | Path, *, simulated: bool = False) -> None:
-        from matplotlib.animation import FFMpegWriter, PillowWriter
-
         self.path = Path(path)
         check_film(self.path)
         self.simulated = simulated
         self._figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI)
-        FigureCanvasAgg(self._figure)
-        gif = self.path.suffix.lower() == ".gif"
-        self._writer: Any = PillowWriter(fps=FRAMES_PER_SECOND) if gif else FFMpegWriter(fps=FRAMES_PER_SECOND)
+        self._writer: _GifWriter | Any = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.frames = 0
 
@@ -91,13 +90,22 @@ class Film:
         except OSError as error:
             raise OutputError(self.path, f"can't be written: {error.strerror or error}") from error
         self._part = Path(self._folder.name) / self.path.name
-        self._writer.setup(self._figure, str(self._part), dpi=DPI)
+        if self.path.suffix.lower() == ".gif":
+            self._writer = _GifWriter(self._figure, self._part)
+        else:
+            from matplotlib.animation import FFMpegWriter
+
+            self._writer = FFMpegWriter(fps=FRAMES_PER_SECOND)
+            self._writer.setup(self._figure, str(self._part), dpi=DPI)
         return self
 
     def add(self, shot: Shot) -> None:
         """One more frame."""
         draw_shot(self._figure, shot, simulated=self.simulated)
-        self._writer.grab_frame()
+        try:
+            self._writer.grab_frame()
+        except OSError as error:
+            raise OutputError(self.path, f"can't be written: {error.strerror or error}") from error
         self.frames += 1
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
@@ -110,7 +118,30 @@ class Film:
         except OSError as error:
             raise OutputError(self.path, f"can't be written: {error.strerror or error}") from error
         finally:
+            if isinstance(self._writer, _GifWriter):
+                self._writer.close()
             self._folder.cleanup()
+
+
+class _GifWriter:
+    """As matplotlib's writers, but that no frame waits in memory."""
+
+    def __init__(self, figure: Figure, path: Path) -> None:
+        self._canvas: Any = FigureCanvasAgg(figure)
+        self._stream = path.open("wb")
+        self._gif = GifStream(self._stream, seconds=1 / FRAMES_PER_SECOND)
+
+    def grab_frame(self) -> None:
+        self._canvas.draw()
+        self._gif.add(Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3]))
+
+    def finish(self) -> None:
+        self._gif.finish()
+        self._stream.close()
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._stream.close()
 
 
 def draw_shot(figure: Figure, shot: Shot, *, simulated: bool = False) -> None:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
-from mapfuse.datasets.errors import FileFormatError
+from mapfuse.datasets.errors import FileFormatError, MapfuseError
 from mapfuse.datasets.logfile import write_log
 from mapfuse.datasets.logs import Detection, Log, LogHeader, Odometry, SensedArm, Sensors
 from mapfuse.fusion import OnlineFuser, fuse, read_fused
+from mapfuse.fusion.cli.replay import shot_of
 from mapfuse.fusion.online.replay import Replay, offsets
 
 #: Places along a corridor (x, what is there), uneven, so that it looks like itself only in one way.
@@ -88,6 +91,34 @@ def test_robots_know_where_they_are_in_each_others_map(replayed: Replay):
         assert abs(place.pose.x - true) < 4 * sigma[0] + 0.05
         assert sigma[0] < 1.0
         assert np.linalg.eigvalsh(place.pose.covariance).min() > 0
+
+
+def test_a_film_shows_robots_where_they_are_said_to_be(replayed: Replay):
+    shot, places = shot_of(replayed, replayed.t), replayed.fuser.places()
+    assert shot.shared.keys() == places.keys() == {"west", "east"}
+    for name, place in places.items():
+        assert np.array_equal(shot.shared[name], place.pose.array)
+
+
+def test_at_each_moment_robots_are_where_they_are_by_then(logs: tuple[Log, Log]):
+    quiet, looked_at = (Replay(parts(logs, 30.0)[0]) for _ in range(2))
+    for _ in quiet.run():
+        pass
+    seen = 0
+    for moment in looked_at.run(every=1.0):
+        for name, place in looked_at.fuser.places().items():
+            assert place.t == moment.t
+            if len(looked_at.fuser.current.groups) > 1:
+                # nothing is merged, so that a robot is where its own mapper has it
+                seen += 1
+                pose = looked_at.feeds[name].mapper.pose
+                assert np.hypot(*(place.pose.array - pose)[:2]) < 0.1
+                assert place.frame_of == name
+    assert seen > 10
+    # who looks changes nothing
+    assert list(looked_at.fuser.events()) == list(quiet.fuser.events())
+    assert looked_at.fuser.fused().frames == quiet.fuser.fused().frames
+    assert looked_at.fuser.time == quiet.fuser.time
 
 
 def test_the_same_logs_give_the_same_events(logs: tuple[Log, Log], tmp_path: Path, command):
@@ -184,6 +215,81 @@ def test_clocks_stay_common_in_the_second_part():
     assert offsets(headers, [5.0]) == [5.0, 35.0]
 
 
+def restarted(log: Log, cut: float, **header: object) -> Log:
+    """What came from a time on [s], by a clock that began there."""
+    later = [e for e in log.events if e.t >= cut]
+    return Log(replace(log.header, **header), [msgspec.structs.replace(e, t=e.t - cut) for e in later])
+
+
+def test_a_second_part_by_its_own_clock_goes_on_where_recorded_at_says(logs, replayed, tmp_path):
+    at = "2000-07-01T10:00:{}Z".format
+    dated = [Log(replace(log.header, recorded_at=at("00")), log.events) for log in logs]
+    first = Replay(parts(dated, 20.0)[0])
+    for _ in first.run():
+        pass
+    first.save(tmp_path / "state.json")
+    again = Replay.resume(tmp_path / "state.json", [restarted(log, 20.0, recorded_at=at("20")) for log in dated])
+    moments = [moment.t for moment in again.run()]
+    assert min(moments) >= 20.0
+    fused, straight = again.fuser.fused(), replayed.fuser.fused()
+    assert fused.maps == straight.maps
+    assert np.abs(fused.frames["east"].T.array - straight.frames["east"].T.array).max() < 1e-9
+    # and on: a third part by the clock of the second is one of the first's robots all the same
+    again.save(tmp_path / "state.json")
+    third = Log(replace(dated[0].header, recorded_at=at("20")), [Odometry(30.0, 48.0, 0.0, 0.0)])
+    assert [t for t, _, _ in Replay.resume(tmp_path / "state.json", [third]).events()] == [50.0]
+
+
+def test_a_log_that_begins_before_the_state_is_refused(logs, tmp_path, command, capsys):
+    first, later = parts(logs, 20.0)
+    for k, part in enumerate((first, later)):
+        for log in part:
+            write_log(log, tmp_path / f"{log.header.name}{k}.log.jsonl")
+    state, out = tmp_path / "state.json", tmp_path / "both.fused.json"
+    names = ("west", "east")
+    assert command("replay", *(tmp_path / f"{n}0.log.jsonl" for n in names), "--quiet", "--save-state", state) == 0
+    before = state.read_bytes()
+    grown, restart = tmp_path / "grown.log.jsonl", tmp_path / "restart.log.jsonl"
+    write_log(logs[1], grown)
+    write_log(restarted(logs[1], 20.0), restart)
+    for file, begins, ends in ((grown, "0.000", "39.000"), (restart, "0.000", "19.000")):
+        arguments = [tmp_path / "west1.log.jsonl", file, "--resume", state, "--save-state", state, "-o", out]
+        assert command("replay", *arguments) == 2
+        told = capsys.readouterr().err
+        assert f"{file}: holds events of {begins} to {ends} s, and the state knows 'east' up to 19.800 s" in told
+        assert not out.exists()
+        assert state.read_bytes() == before
+    # of a log in memory there is no file to name
+    with pytest.raises(MapfuseError, match=r"log 'east': holds events of 0\.000 to 39\.000 s"):
+        next(Replay.resume(state, [later[0], logs[1]]).events())
+    # the moment itself is no overlap: what was seen in it may be in both parts' files
+    assert next(Replay.resume(state, [Log(logs[0].header, [Odometry(19.8, 19.8, 0.0, 0.0)])]).events())[0] == 19.8
+
+
+def test_times_below_zero_can_be_gone_on_from(tmp_path):
+    first = Replay([Log(LogHeader(name), [Odometry(-9.0, 0.0, 0.0, 0.0)] * k) for k, name in enumerate("ab")])
+    for _ in first.run():
+        pass
+    first.save(tmp_path / "state.json")
+    later = [Log(LogHeader(name), [Odometry(-8.0, 1.0, 0.0, 0.0)]) for name in "ab"]
+    again = Replay.resume(tmp_path / "state.json", later)
+    assert again.t == -9.0
+    assert [t for t, _, _ in again.events()] == [-8.0, -8.0]
+
+
+def test_what_a_robot_could_not_use_is_said(logs, tmp_path, command, capsys):
+    west, east = logs
+    doubled = tuple(e for event in west.events for e in ([event] * (2 if isinstance(event, Detection) else 1)))
+    count = len(doubled) - len(west.events)
+    files = [tmp_path / "west", tmp_path / "east"]
+    write_log(Log(west.header, doubled), files[0])
+    write_log(east, files[1])
+    assert command("replay", *files) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert f"mapfuse: west: {count} detections came twice and count once" in told
+    assert not any(line.startswith("mapfuse: east:") for line in told)
+
+
 def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
     state = tmp_path / "state.json"
     replayed.fuser.save(state)
@@ -208,16 +314,30 @@ def test_states_that_are_no_replays_are_refused(logs, replayed, tmp_path):
         (["west", "east", "--speed", "0"], "--speed"),
         (["west", "east", "--video", "film.avi"], "must end in one of .mp4, .gif"),
         (["west", "east", "--events", "nowhere/e.jsonl"], "there is no folder"),
-        (["west", "west"], "one name"),
+        (["west", "east", "west2"], "two logs have one name, 'west' (west, west2)"),
         (["west", "none"], "none"),
+        (["west", "east", "--snapshots", "west/none"], "--snapshots west/none: can't be written"),
+        pytest.param(
+            ["west", "east", "--snapshots", "/proc/self"],
+            "--snapshots /proc/self: can't be written",
+            marks=pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc here"),
+        ),
+        (["west", "east", "--snapshots", "west"], "--snapshots west: is a file; give a folder"),
+        (["west", "east", "--snapshots", "new", "-o", "new"], "--snapshots new: can't be a folder, since -o new"),
+        (["west", "east", "--snapshots", "e/s", "--events", "e"], "--snapshots e/s: can't be a folder, since --events"),
+        (["west", "east", "--name-points", "--save-state", "state"], "--name-points: needs whole logs"),
+        (["west", "east", "--name-points", "--resume", "state"], "--name-points: needs whole logs"),
     ],
 )
 def test_wrong_usage_is_said_in_a_sentence(arguments, said, logs, tmp_path, command, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for log in logs:
         write_log(log, tmp_path / log.header.name)
+    write_log(logs[0], tmp_path / "west2")
+    monkeypatch.setattr(Replay, "run", lambda *_, **__: pytest.fail("replayed what could be refused before"))
     assert command("replay", *arguments) == 2
     assert said in capsys.readouterr().err
+    assert not any((tmp_path / name).exists() for name in ("new", "e"))
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is not None, reason="ffmpeg is here")
