@@ -259,7 +259,8 @@ class OnlineFuser:
     def save(self, path: str | Path) -> None:
         """All that is known as one file; `load` goes on from there to the same events.
 
-        Raises `OutputError` where it can't be written.
+        Events that wait to be read are not in it: read them (`events`) after saving, since what a worker was asked is
+        answered first. Raises `OutputError` where it can't be written.
         """
         from .saved import write
 
