@@ -22,10 +22,12 @@ from .values import frozen_array, rebuilt, same_fields
 Array = NDArray[np.float64]
 
 # msgspec holds these where events are decoded, not where they are made; a file's writer decodes what it wrote
-#: Times [s] and all else [m, rad, rad/s]; what is larger is a broken instrument, and its square would overflow.
+#: Times [s] and all else [m, rad, rad/s]; what is larger than `LARGEST` is a broken instrument, and its square would
+#: overflow.
+LARGEST = 1e9
 Time: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
-Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-Range: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
+Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
+Range: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=LARGEST)]
 Word: TypeAlias = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 
 

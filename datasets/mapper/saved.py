@@ -14,7 +14,7 @@ from ..errors import ConfigError, FileFormatError, Problem
 from ..files import read_whole, write_whole
 from ..logheader import FORMAT as LOG_FORMAT
 from ..logheader import check_header
-from ..logs import Detection, LogHeader, Odometry
+from ..logs import LARGEST, Detection, LogHeader, Odometry
 from ..rules import RuleError, table
 from .compass import CompassWindow
 from .config import MapperConfig
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from .mapper import Mapper
 
 FORMAT = "mapfuse.mapper/1"
-#: No sensor is worse than this, nor anything further away, as in logs; squares of more would overflow.
-LARGEST = 1e9
 
 
 class Counters(msgspec.Struct):

@@ -169,7 +169,7 @@ class OnlineFuser:
         """Take up the answer. Where there is none, what was asked is as new as before."""
         try:
             asked_at, fused = worker.answer()
-        except MapfuseError:
+        except Exception:
             self.due_state.unsettle(self._asked, self.segments)
             raise
         self._adopt(fused, asked_at)

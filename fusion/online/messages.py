@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mapfuse.datasets.errors import MapError, MapfuseError, Problem
 from mapfuse.datasets.jsondata import said
+from mapfuse.datasets.logs import LARGEST
 from mapfuse.datasets.mapfields import NOISE
 from mapfuse.datasets.mapfile import validate
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
@@ -28,10 +29,8 @@ from ..groups import strays
 
 Array = NDArray[np.float64]
 
-#: Larger numbers are no places [m], as in logs, nor the variance of one [m^2, rad^2]: computing with them overflows.
-LARGEST, LARGEST_VARIANCE = 1e9, 1e12
-
-
+#: Larger numbers are not the variance of a place [m^2, rad^2].
+LARGEST_VARIANCE = 1e12
 #: What a message holds besides numbers.
 _KINDS: dict[str, type] = {"landmark": Landmark, "link": Link, "map": LandmarkMap, "id": str}
 
