@@ -83,7 +83,7 @@ class Anchors:
                 self._loosen(self._anchored.pop(part))
             return
         near = {*also, *([was] if was is not None else [])}
-        few = self._few([stripped(l) for n in sorted(near) if (l := self.segment.landmark(n)) is not None])
+        few = self._few([stripped(l) for n in sorted(near) if (l := self.segment.local(n)) is not None])
         nearest = nearest_to_start(few, few.ids)
         if nearest.id == was and was not in also:
             return
@@ -97,6 +97,5 @@ class Anchors:
 
     def _few(self, landmarks: Iterable[Landmark]) -> LandmarkMap:
         """A map of some of the landmarks, with its robot's start."""
-        base = self.segment.base
-        path = None if base is None or base.path is None else base.path[:1]
-        return LandmarkMap(self.segment.name, tuple(landmarks), noise=self.segment.noise, path=path)
+        segment = self.segment
+        return LandmarkMap(segment.name, tuple(landmarks), noise=segment.noise, path=segment.local_path)

@@ -108,7 +108,7 @@ class OnlineFuser:
         touched = segment.take(message)
         self.time = max(self.time, message.t)
         self._since_asked += 1
-        if touched:
+        if touched or isinstance(message, Correction):  # which may change no landmark, but how well they are known
             self._rivals.changed(segment, touched)
             self._smoother.changed(segment, touched)
             self.due_state.changed(segment.name, len(segment.changed))

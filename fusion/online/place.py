@@ -49,24 +49,26 @@ def placed_in(segment: Segment, smoother: Smoother) -> Place:
     assert said is not None
     name = segment.name
     group = next(group for group in smoother.groups if name in group)
-    known = smoother.landmarks(name)
+    known = smoother.local_landmarks(name)
     kept = [k for k, identifier in enumerate(said.order) if identifier in known]
     ids = [said.order[k] for k in kept]
     n = len(ids)
-    T = smoother.frame(name).array
-    C = smoother.joint_covariance(name, ids)[1]
+    T = smoother.local_frame(name).array
+    C = smoother.local_covariance(name, ids)
     rows = np.array([0, 1, 2, *(3 + 3 * k + c for k in range(n) for c in range(2))], dtype=np.intp)
     C = C[np.ix_(rows, rows)]
     shared = np.array([known[i][:2] for i in ids]).reshape(-1, 2)
     seen = np.asarray(se2.transform(se2.inverse(T), shared)).reshape(-1, 2)
-    sight = _Sight.of(said.pose, said.positions[kept], said.covariance[np.ix_(_rows(kept), _rows(kept))])
+    x = said.pose - np.array([*segment.origin, 0.0])
+    sight = _Sight.of(x, said.positions[kept] - segment.origin, said.covariance[np.ix_(_rows(kept), _rows(kept))])
     pose, rest, G = sight.pose_given(seen)
     by_T, by_pose = se2.compose_jacobians(T, pose)
     by_frame, by_landmarks = _seen_by(T, shared)
     whole = by_pose @ G @ np.concatenate([by_frame, by_landmarks], axis=1)
     whole[:, :3] += by_T
     C = whole @ C @ whole.T + by_pose @ rest @ by_pose.T
-    return Place(segment.robot, group[0], Transform.from_array(se2.compose(T, pose), (C + C.T) / 2), said.t)
+    there = se2.compose(T, pose) + np.array([*smoother.origin_of_group(name), 0.0])
+    return Place(segment.robot, group[0], Transform.from_array(there, (C + C.T) / 2), said.t)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from mapfuse.datasets import se2
 from mapfuse.datasets.arms import Kind, heading_of, signature
 from mapfuse.datasets.maps import Landmark
+from mapfuse.datasets.transform import Transform
 
+from ..far import carried
 from .config import OnlineConfig
 from .segment import Segment
 
@@ -52,7 +54,8 @@ class Rival(NamedTuple):
 
 @dataclass
 class _Side:
-    """One map's landmarks as they voted last: place by id, x, y, direction (NaN: none), type, kind."""
+    """One map's landmarks as they voted last: place by id, x, y, direction (NaN: none), type, kind. In local
+    coordinates, of ``origin`` (2,) [m]."""
 
     ids: list[str] = field(default_factory=list)
     place: dict[str, int] = field(default_factory=dict)
@@ -63,6 +66,7 @@ class _Side:
     size: int = 0
     next_number: int = 0
     of_type: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
+    origin: Array = field(default_factory=lambda: np.zeros(2))
 
     def put(self, landmark: Landmark) -> bool:
         """Take a landmark in; whether it has to vote (again)."""
@@ -220,9 +224,10 @@ class Rivals:
         """Landmarks of a map are new, gone, or elsewhere: they vote."""
         name = segment.name
         side = self._sides.setdefault(name, _Side())
+        side.origin = segment.origin
         anew: list[str] = []
         for identifier in ids:
-            landmark = segment.landmark(identifier)
+            landmark = segment.local(identifier)
             before = side.number(identifier)
             if landmark is None:
                 if before is not None:
@@ -253,7 +258,8 @@ class Rivals:
         for votes, (x, y, turn) in table.best():
             T = np.array([(x + 0.5) * CELL_M, (y + 0.5) * CELL_M, se2.wrap((turn + 0.5) * 2 * pi / TURNS)])
             T = T if (one, two) == (map1, map2) else np.asarray(se2.inverse(T))
-            found.append(Rival((float(T[0]), float(T[1]), float(T[2])), votes))
+            T12 = carried(Transform.from_array(T), self._sides[map1].origin, self._sides[map2].origin)
+            found.append(Rival((T12.x, T12.y, T12.theta), votes))
         return tuple(found)
 
     def _forget(self, name: str, number: int) -> None:

@@ -7,12 +7,16 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapfuse.datasets.arms import wrap
 from mapfuse.datasets.maps import JointCovariance, Landmark, LandmarkMap, Link, Noise
 from mapfuse.datasets.values import frozen_array
 
+from ..far import FAR_M, shifted
 from .messages import Correction, LandmarkLink, LandmarkSeen, Message, Placed, Removed
+
+Array = NDArray[np.float64]
 
 #: Arms of a landmark nearer to each other than this [rad] are one.
 ONE_ARM = 0.35
@@ -60,6 +64,7 @@ class Segment:
     changed: set[str] = field(default_factory=set)
     heard: float = -np.inf
     _map: LandmarkMap | None = None
+    _origin: Array | None = None
 
     @property
     def name(self) -> str:
@@ -192,6 +197,39 @@ class Segment:
                 joint = self._joint({l.id: l for l in kept})
                 self._map = self.base.replace(name=self.name, landmarks=kept, joint_covariance=joint)
         return self._map
+
+    # In coordinates that can be computed with
+
+    @property
+    def origin(self) -> Array:
+        """Origin (2,) of its local coordinates [m, whole metres]: where it was first heard to be, if far out.
+
+        What links, headings and joint covariances say doesn't hang on where the origin is, but over a lever of 10 km
+        and more a rotation's last digits count (`mapfuse.fusion.far`). It stays where it is for good.
+        """
+        if self._origin is not None:
+            return self._origin
+        somewhere = self.anywhere
+        at = np.array(somewhere or (0.0, 0.0))
+        origin = frozen_array(np.round(at) if np.hypot(*at) > FAR_M else np.zeros(2))
+        self._origin = None if somewhere is None else origin
+        return origin
+
+    def local(self, name: str) -> Landmark | None:
+        """A landmark as `landmark` has it, in local coordinates."""
+        landmark, (x, y) = self.landmark(name), self.origin.tolist()
+        return landmark if landmark is None or not (x or y) else replace(landmark, x=landmark.x - x, y=landmark.y - y)
+
+    def local_map(self) -> LandmarkMap:
+        """The map as `map` has it, in local coordinates."""
+        return shifted(self.map(), self.origin)
+
+    @property
+    def local_path(self) -> Array | None:
+        """Where its robot began (1, 4) [s, m, m, rad], in local coordinates; None where no correction said so."""
+        if self.base is None or self.base.path is None:
+            return None
+        return np.asarray(self.base.path[:1] - np.array([0.0, *self.origin, 0.0]))
 
     def _joint(self, known: dict[str, Landmark]) -> JointCovariance | None:
         """The correction's joint covariance of those landmarks that still stand where it has them."""

@@ -3,13 +3,14 @@
 It holds what `mapfuse.factors.graph` holds for maps that no longer grow. A message replaces what its landmarks
 measured; a merge adds correspondences, after its maps were put where they lie on each other; an un-merge takes just
 these out again. Of each group of maps the first one's frame is held, the others' are loose. `fusion.online.tree` keeps
-account of the factors.
+account of the factors. All in it is in the maps' local coordinates, so that maps far from their origins are as good as
+any.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, TypeAlias
@@ -26,6 +27,7 @@ from mapfuse.factors.correspondence import correspondence
 from mapfuse.factors.joint import joint_measurement
 from mapfuse.factors.noise import LOOSE_ROTATION, PoseNoise
 
+from ..far import carried
 from ..result import FusedMap
 from .anchors import Anchors
 from .segment import Segment
@@ -89,7 +91,7 @@ class Smoother:
 
     def _rejoin(self, held: _Held) -> tuple[str, ...]:
         """The joint covariance of a correction; ids of the landmarks that it newly speaks of, or no longer does."""
-        recorded = held.segment.map()
+        recorded = held.segment.local_map()
         joint = recorded.joint_covariance
         if joint is None or len(joint.order) > MOST_JOINT:
             joined: frozenset[str] = frozenset()
@@ -114,7 +116,7 @@ class Smoother:
         T = self.tree.about(FrameKey(held.number))
         for name in ids:
             key = LandmarkKey(held.number, name)
-            landmark = held.segment.landmark(name)
+            landmark = held.segment.local(name)
             if landmark is not None and not self.tree.has(key):
                 pose = np.array([landmark.x, landmark.y, heading_of(landmark) or 0.0])
                 self.tree.start(key, np.asarray(se2.compose(T, pose)))
@@ -174,11 +176,12 @@ class Smoother:
         of = {name: set(group) for group in self._groups for name in group}
         met = any(a not in of[b] for group in groups for a, b in combinations(group, 2))
         wanted = self._wanted(fused)
-        elsewhere = any(
-            not _near(self.tree.pose(FrameKey(self._held[name].number)), fused.frames[name].T.array)
+        frames = {
+            name: carried(fused.frames[name].T, -self._origin(group[0]), -self._origin(name)).array
             for group in groups
             for name in group[1:]
-        )
+        }
+        elsewhere = any(not _near(self.tree.pose(FrameKey(self._held[name].number)), T) for name, T in frames.items())
         # who stood in another's frame and is alone again, or the first of its group, has its own from now on
         firsts = [self.tree.pose(FrameKey(self._held[group[0]].number)) for group in groups]
         elsewhere |= any(np.abs(pose).max() > _AT_HOME for pose in firsts)
@@ -186,14 +189,14 @@ class Smoother:
             self.tree.put(self._matches.pop(match), ())
         self._groups = groups
         if met or elsewhere:
-            self._seat(fused)
-        self._hold(fused)
+            self._seat(frames)
+        self._hold(frames)
         for match in wanted:
             a, b = match
             one, two = self._segment(a.map), self._segment(b.map)
             rotation = float(self._turn(b.map) - self._turn(a.map))
             tag = self._matches.setdefault(match, ("match", a.map, a.id, b.map, b.id))
-            self.tree.put(tag, (correspondence(one.map(), a, two.map(), b, rotation, None, wanted[match]),))
+            self.tree.put(tag, (correspondence(one.local_map(), a, two.local_map(), b, rotation, None, wanted[match]),))
         if met or elsewhere:
             self.tree.rebuild()
         else:
@@ -216,7 +219,7 @@ class Smoother:
                     wanted[a, b] = len(members)
         return wanted
 
-    def _hold(self, fused: FusedMap) -> None:
+    def _hold(self, frames: Mapping[str, Array]) -> None:
         """The frame of each group's first map held, the others' loose, their compasses tied to its."""
         for group in self._groups:
             for k, name in enumerate(group):
@@ -229,7 +232,7 @@ class Smoother:
                     self.tree.put((name, "offset"), ())
                     continue
                 if not any(isinstance(m, TransformPrior) for m in self.tree.of(tag)):
-                    self.tree.put(tag, (TransformPrior.weak(r, fused.frames[name].T.array, _centre(held.segment)),))
+                    self.tree.put(tag, (TransformPrior.weak(r, frames[name], _centre(held.segment)),))
                 self.tree.put((name, "offset"), self._offset(group[0], name))
 
     def _offset(self, first: str, name: str) -> tuple[NorthOffset, ...]:
@@ -242,14 +245,14 @@ class Smoother:
         noise = PoseNoise.from_sigmas(_PINNED, _PINNED, sigma)
         return (NorthOffset(CompassKey(one.number), CompassKey(two.number), (0.0, 0.0, 0.0), noise),)
 
-    def _seat(self, fused: FusedMap) -> None:
+    def _seat(self, frames: Mapping[str, Array]) -> None:
         """Starting values for maps that lie elsewhere from now on: each as it is, in its new place."""
         values = self.tree.poses()
         for group in self._groups:
             for name in group:
                 held = self._held[name]
                 frame = FrameKey(held.number)
-                old, new = values[frame], np.asarray(fused.frames[name].T.array if name != group[0] else np.zeros(3))
+                old, new = values[frame], frames.get(name, np.zeros(3))
                 turn = float(new[2] - old[2])
                 moved = np.asarray(se2.compose(new, se2.inverse(old)))
                 for unknown in values:
@@ -277,25 +280,58 @@ class Smoother:
         """Maps that share a frame; alone ones too."""
         return tuple(self._groups)
 
+    def local_frame(self, name: str) -> Transform:
+        """Pose of a map's frame in that of its group, with covariance, between the local coordinates of both (those of
+        `Segment.origin`). KeyError for a map that it doesn't have."""
+        number = self._held[name].number
+        C = self.local_covariance(name, ())[:3, :3]
+        return Transform.from_array(self.tree.pose(FrameKey(number)), C)
+
+    def local_landmarks(self, name: str) -> dict[str, Array]:
+        """Poses (3,) of a map's landmarks in the local coordinates of its group's first map."""
+        number = self._held[name].number
+        return {u.id: pose for u, pose in self.tree.poses().items() if isinstance(u, LandmarkKey) and u.map == number}
+
+    def local_covariance(self, name: str, ids: Sequence[str]) -> Array:
+        """Covariance (3 + 3k, 3 + 3k) of `local_frame` and these landmarks together, in the axes of the group's frame,
+        given the frame that the gauge holds: what keeps the solver from floating is no uncertainty."""
+        number = self._held[name].number
+        first = self._held[next(group[0] for group in self._groups if name in group)].number
+        own = [FrameKey(number), *(LandmarkKey(number, i) for i in ids)]
+        C = self.tree.covariance(own if number == first else [FrameKey(first), *own])
+        gauge, rest = C[:3, :3], C[3:, 3:]
+        given = rest - C[3:, :3] @ np.linalg.solve(gauge, C[:3, 3:])
+        if number != first:
+            return np.asarray(given)
+        whole = np.zeros_like(C)  # the frame is this map's own
+        whole[3:, 3:] = given
+        return whole
+
     def frame(self, name: str) -> Transform:
         """Pose of a map's frame in that of its group, with covariance. KeyError for a map that it doesn't have."""
-        number = self._held[name].number
-        C = self.joint_covariance(name, ())[0]
-        return Transform.from_array(self.tree.pose(FrameKey(number)), C)
+        return carried(self.local_frame(name), self.origin_of_group(name), self._origin(name))
 
     def landmarks(self, name: str) -> dict[str, Array]:
         """Poses (3,) of a map's landmarks in the frame of its group, theta without meaning where there is none."""
-        number = self._held[name].number
-        return {u.id: pose for u, pose in self.tree.poses().items() if isinstance(u, LandmarkKey) and u.map == number}
+        origin = np.array([*self.origin_of_group(name), 0.0])
+        return {i: pose + origin for i, pose in self.local_landmarks(name).items()}
 
     def joint_covariance(self, name: str, ids: Sequence[str]) -> tuple[Array, Array]:
         """Covariance of a map's frame (3, 3), and of frame and these landmarks together (3 + 3k, 3 + 3k), in the
         axes of the group's frame; where that frame is this map's own, its part is zero."""
-        number = self._held[name].number
-        C = self.tree.covariance([FrameKey(number), *(LandmarkKey(number, i) for i in ids)])
-        if any(isinstance(m, Gauge) for m in self.tree.of((name, "frame"))):
-            C[:3, :] = C[:, :3] = 0.0
+        C = self.local_covariance(name, ids)
+        J = np.eye(len(C))
+        T = self.tree.pose(FrameKey(self._held[name].number))
+        J[:3, :3] = se2.compose_jacobians(T, np.array([*-self._origin(name), 0.0]))[0]
+        C = J @ C @ J.T
         return C[:3, :3], C
+
+    def origin_of_group(self, name: str) -> Array:
+        """Origin (2,) [m] of the local coordinates of the first map of this one's group."""
+        return self._origin(next(group[0] for group in self._groups if name in group))
+
+    def _origin(self, name: str) -> Array:
+        return self._held[name].segment.origin
 
     @property
     def size(self) -> int:
@@ -312,5 +348,5 @@ def _near(a: Array, b: Array) -> bool:
 
 
 def _centre(segment: Segment) -> Array:
-    recorded = segment.map()
+    recorded = segment.local_map()
     return recorded.positions.mean(axis=0) if len(recorded) else np.zeros(2)

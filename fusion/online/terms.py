@@ -28,15 +28,13 @@ class Terms(NamedTuple):
 
 
 def neighbourhood(segment: Segment, name: str, others: Iterable[str]) -> LandmarkMap:
-    """A landmark and those linked to it as a map, without links to any others."""
-    landmark = segment.landmark(name)
+    """A landmark and those linked to it as a map in local coordinates, without links to any others."""
+    landmark = segment.local(name)
     assert landmark is not None
-    near = {other: l for other in sorted(others) if (l := segment.landmark(other)) is not None}
+    near = {other: l for other in sorted(others) if (l := segment.local(other)) is not None}
     own = without_strangers(landmark, {*near, name})
     back = tuple(without_strangers(l, {name}) for l in near.values())
-    base = segment.base
-    path = None if base is None or base.path is None else base.path[:1]
-    return LandmarkMap(segment.name, (own, *back), noise=segment.noise, path=path)
+    return LandmarkMap(segment.name, (own, *back), noise=segment.noise, path=segment.local_path)
 
 
 def terms_of(

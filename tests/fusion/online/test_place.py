@@ -23,14 +23,17 @@ class Known:
     def __init__(self, positions):
         self.positions = positions
 
-    def landmarks(self, name):
+    def origin_of_group(self, name):
+        return np.zeros(2)
+
+    def local_landmarks(self, name):
         return {n: np.array([*xy, 0.0]) for n, xy in self.positions.items()}
 
-    def frame(self, name):
+    def local_frame(self, name):
         return Transform.from_array(np.zeros(3))
 
-    def joint_covariance(self, name, ids):
-        return ids, np.diag([0.0] * 3 + [1e-6, 1e-6, 0.0] * len(ids))
+    def local_covariance(self, name, ids):
+        return np.diag([0.0] * 3 + [1e-6, 1e-6, 0.0] * len(ids))
 
 
 @pytest.mark.parametrize(

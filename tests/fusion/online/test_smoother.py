@@ -13,7 +13,7 @@ from mapfuse.datasets.maps import JointCovariance
 from mapfuse.datasets.simulation.pairs import simulated_pair
 from mapfuse.datasets.values import frozen_array
 from mapfuse.factors import CompassKey, FrameKey, LandmarkKey, single_map_problem
-from mapfuse.fusion import FuseConfig, fuse
+from mapfuse.fusion import FuseConfig, OnlineFuser, fuse
 from mapfuse.fusion.online.judge import Judge
 from mapfuse.fusion.online.segment import Segment
 from mapfuse.fusion.online.smoother import Smoother
@@ -107,6 +107,18 @@ def test_the_compass_of_a_jointly_known_map_counts_once_as_in_fuse(whole):
     expected = solution.joint_covariance([CompassKey(0)])[2, 2]
     # each reading by itself would make it some twenty times surer
     assert smoother.tree.covariance([CompassKey(0)])[2, 2] == pytest.approx(expected, rel=0.2)
+
+
+def test_a_correction_that_moves_nothing_still_says_how_well_all_is_known(landmarks_of, whole):
+    recorded = jointly(simulated_pair(90_124)[0])
+    bare = recorded.replace(joint_covariance=None)
+    at_once, later = OnlineFuser(), OnlineFuser()
+    at_once.take(whole(recorded, 90))
+    for message in [whole(bare, 0), whole(recorded, 90)]:
+        later.take(message)
+    some = recorded.ids[:3]
+    expected = at_once.current.joint_covariance("A", some)[1]
+    assert later.current.joint_covariance("A", some)[1] == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
 def test_an_unmerge_takes_the_correspondences_out_and_nothing_else(merged_pair):
