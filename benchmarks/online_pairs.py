@@ -184,7 +184,12 @@ def hospital_table(rows: Sequence[Row]) -> Iterator[str]:
     yield f"| decision at the end is the batch's | all | {same} of {n} |"
     yield f"| T12 from the batch's [sigma], largest | 0.1 | {max(apart, default=float('nan')):.2g} |"
     place = [value for row in rows for value in row["place_nees"] if value is not None]
-    yield f"| mean NEES of robots' poses at the end, / 3 | {_band(3 * len(place))} | {np.mean(place) / 3:.2f} |"
+    yield f"| mean NEES of robots' poses at the end, / 3 | {_told(3 * len(place))} | {np.mean(place) / 3:.2f} |"
+    found = [(k, values, *_of_tenth(values)) for k in range(TENTHS) if len(values := _at_tenth(rows, k))]
+    means = [(mean, dof) for _, _, *both in found for mean, dof in both]
+    alone, together = (_outside(means, confidence) for confidence in (0.95, 0.95 ** (1 / max(len(means), 1))))
+    yield f"| NEES at the tenths (below) outside its 95 % band | 1 in 20 | {alone} of {len(means)} |"
+    yield f"| outside the band that all of them keep with 95 % | none | {together} |"
     yield ""
     yield "NEES over degrees of freedom at each tenth of the run, of those merged by then: of T12 (3; in exponential"
     yield "coordinates, `mapfuse.fusion.score.nees_of_transform`, since early ones are known to 0.1 rad), and the mean"
@@ -193,12 +198,9 @@ def hospital_table(rows: Sequence[Row]) -> Iterator[str]:
     yield ""
     yield "| tenth | merged | T12 | 95 % band | landmarks | 95 % band |"
     yield "|---|---|---|---|---|---|"
-    for k in range(TENTHS):
-        values = np.array([row["tenths"][k] for row in rows if len(row["tenths"]) > k and row["tenths"][k] is not None])
-        if len(values):
-            T12, landmark = values.mean(axis=0) / (3, 2)
-            bands = _band(3 * len(values)), _band(2 * len(values))
-            yield f"| {k + 1} | {len(values)} | {T12:.2f} | {bands[0]} | {landmark:.2f} | {bands[1]} |"
+    for k, values, (T12, dof), (landmark, dof_landmark) in found:
+        bands = _told(dof), _told(dof_landmark)
+        yield f"| {k + 1} | {len(values)} | {T12:.2f} | {bands[0]} | {landmark:.2f} | {bands[1]} |"
     times = sorted(row["merges"][0]["t"] / row["end"] for row in rows if row["merges"])
     if times:
         yield ""
@@ -219,9 +221,31 @@ def _before_loops(row: Row) -> bool:
     return bool(row["merges"]) and row["merges"][0]["t"] < max(closed)
 
 
-def _band(dof: int) -> str:
-    """95 % band of the mean of chi-square values over their degrees of freedom, ``dof`` in all."""
-    if not dof:
-        return "-"
-    low, high = (float(chdtri(dof, q)) / dof for q in (0.975, 0.025))
-    return f"{low:.2f} to {high:.2f}"
+def _at_tenth(rows: Sequence[Row], k: int) -> np.ndarray:
+    """NEES (n, 2) of T12 and of the landmarks at a tenth of the run, of those merged by then."""
+    tenths = [row["tenths"][k] for row in rows if len(row["tenths"]) > k]
+    return np.array([values for values in tenths if values is not None]).reshape(-1, 2)
+
+
+def _of_tenth(values: np.ndarray) -> tuple[tuple[float, int], tuple[float, int]]:
+    """Mean over degrees of freedom, and how many these are, of T12 and of the landmarks."""
+    n = len(values)
+    T12, landmark = values.mean(axis=0) / (3, 2)
+    return (float(T12), 3 * n), (float(landmark), 2 * n)
+
+
+def _outside(means: Sequence[tuple[float, int]], confidence: float) -> int:
+    """How many means lie outside the band of their degrees of freedom."""
+    bands = [_band(dof, confidence) for _, dof in means]
+    return sum(not low <= mean <= high for (mean, _), (low, high) in zip(means, bands, strict=True))
+
+
+def _band(dof: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Band of the mean of chi-square values over their degrees of freedom, ``dof`` in all."""
+    tail = (1 - confidence) / 2
+    return float(chdtri(dof, 1 - tail)) / dof, float(chdtri(dof, tail)) / dof
+
+
+def _told(dof: int) -> str:
+    """The 95 % band in words."""
+    return "{:.2f} to {:.2f}".format(*_band(dof)) if dof else "-"
