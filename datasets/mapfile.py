@@ -81,10 +81,25 @@ def _accepted(document: Any, path: str | Path, place: str, known: tuple[Problem,
 
 def check_map(document: Any, place: str = "") -> tuple[LandmarkMap | None, tuple[Problem, ...]]:
     """A decoded JSON document as a map, or None and everything that is wrong with it (up to `MAX_PROBLEMS`)."""
+    values, problems = _checked(document, place)
+    return (None if problems or values is None else _built(values)), problems
+
+
+def _checked(document: Any, place: str = "") -> tuple[dict[str, Any] | None, tuple[Problem, ...]]:
+    """The values of a map that are what they should be, and everything that is wrong."""
     faults: Faults = []
-    read = _map(document, faults)
-    problems = tuple(Problem(render(where, place), reason) for where, reason in islice(faults, MAX_PROBLEMS))
-    return (None if faults else read), problems
+    values = _map(document, faults)
+    return values, tuple(Problem(render(where, place), reason) for where, reason in islice(faults, MAX_PROBLEMS))
+
+
+def _built(values: dict[str, Any]) -> LandmarkMap:
+    """The map of checked values; its landmarks and their links are values, too."""
+    return LandmarkMap(**{**values, "landmarks": tuple(map(_landmark_of, values["landmarks"]))})
+
+
+def _landmark_of(values: Mapping[str, Any]) -> Landmark:
+    links = tuple(Link(**of_link) for of_link in values.get("links", ()))
+    return Landmark(**{**values, "links": links})
 
 
 def noise_from_dict(record: Any, path: str | Path = "map", place: str = "noise") -> Noise:
@@ -178,7 +193,7 @@ def write_map(map_: LandmarkMap, path: str | Path) -> None:
 # Reading
 
 
-def _map(document: Any, faults: Faults) -> LandmarkMap | None:
+def _map(document: Any, faults: Faults) -> dict[str, Any] | None:
     if not isinstance(document, dict):
         faults.append(((), f"must be an object, not {said(document)}"))
         return None
@@ -199,7 +214,7 @@ def _map(document: Any, faults: Faults) -> LandmarkMap | None:
     for identifier in values.get("same_as", ()):
         if identifier not in ids:
             faults.append((("same_as", identifier), "is no landmark of this map"))
-    return None if faults else LandmarkMap(**values)
+    return values
 
 
 def _values(
@@ -254,7 +269,7 @@ def _ids(landmarks: list[Any], faults: Faults) -> dict[str, int]:
     return places
 
 
-def _landmarks(records: list[Any], ids: Mapping[str, int], faults: Faults) -> list[Landmark]:
+def _landmarks(records: list[Any], ids: Mapping[str, int], faults: Faults) -> list[dict[str, Any]]:
     landmarks = []
     for k, record in enumerate(records):
         place, before = ("landmarks", k), len(faults)
@@ -262,22 +277,21 @@ def _landmarks(records: list[Any], ids: Mapping[str, int], faults: Faults) -> li
         if isinstance(record, dict) and record.get("links") is not None:
             values["links"] = _links(record["links"], values.get("id"), ids, (*place, "links"), faults)
         if len(faults) == before:
-            landmark = Landmark(**values)
-            _check_heading(landmark, place, faults)
-            landmarks.append(landmark)
+            _check_heading(values, place, faults)
+            landmarks.append(values)
         elif before > MAX_PROBLEMS:
             break
     return landmarks
 
 
-def _links(records: Any, own: Any, ids: Mapping[str, int], place: Place, faults: Faults) -> tuple[Link, ...]:
+def _links(records: Any, own: Any, ids: Mapping[str, int], place: Place, faults: Faults) -> list[dict[str, Any]]:
+    links: list[dict[str, Any]] = []
     if not isinstance(records, list):
         faults.append((place, f"must be a list, not {said(records)}"))
-        return ()
+        return links
     if len(records) > MAX_LINKS:
         faults.append((place, f"holds {len(records)} links; a landmark has {MAX_LINKS} at most"))
-        return ()
-    links = []
+        return links
     for m, record in enumerate(records):
         here, before = (*place, m), len(faults)
         values = _values(record, _LINK, (), here, faults)
@@ -287,14 +301,15 @@ def _links(records: Any, own: Any, ids: Mapping[str, int], place: Place, faults:
         elif target is not None and target == own:
             faults.append(((*here, "connected_to_id"), f"{said(target)} is the landmark itself"))
         if len(faults) == before:
-            links.append(Link(**values))
-    return tuple(links)
+            links.append(values)
+    return links
 
 
-def _check_heading(landmark: Landmark, place: Place, faults: Faults) -> None:
+def _check_heading(values: Mapping[str, Any], place: Place, faults: Faults) -> None:
     """Where a landmark has arms they are its heading: one beside them agrees, and a 3x3 covariance needs either."""
-    if landmark.heading is None and landmark.covariance is None:
+    if "heading" not in values and "covariance" not in values:
         return
+    landmark = _landmark_of(values)
     arms = [link.heading for link in landmark.links if link.heading is not None]
     if landmark.heading is not None and arms:
         together = heading_of(landmark)
@@ -346,7 +361,7 @@ def _described(map_: LandmarkMap) -> tuple[dict[str, Any], tuple[Problem, ...]]:
     document |= _record(map_, ("walls", "path", "same_as"))
     document |= _extra(map_, (*MAP, "format", "noise", "landmarks", "joint_covariance"), (), faults)
     faults += [((*place, name), "must not be None: it has a default") for place, name in _nones(map_)]
-    _, problems = check_map(document)
+    _, problems = _checked(document)
     return document, tuple(Problem(render(place), reason) for place, reason in faults) + problems
 
 

@@ -41,7 +41,9 @@ def wrap(angle: ArrayLike) -> Array:
 def rotation(theta: ArrayLike) -> Array:
     """Rotation matrices ``(..., 2, 2)`` of angles ``(...)`` [rad]."""
     c, s = np.cos(theta), np.sin(theta)
-    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    R = np.empty((*np.shape(c), 2, 2))
+    R[..., 0, 0], R[..., 0, 1], R[..., 1, 0], R[..., 1, 1] = c, -s, s, c
+    return R
 
 
 def transform(T: ArrayLike, points: ArrayLike) -> Array:
@@ -62,8 +64,10 @@ def transform(T: ArrayLike, points: ArrayLike) -> Array:
 def compose(T_ab: ArrayLike, T_bc: ArrayLike) -> Array:
     """``T_ac = T_ab T_bc``, theta in (-pi, pi]."""
     T_ab, T_bc = np.asarray(T_ab, dtype=float), np.asarray(T_bc, dtype=float)
-    xy = transform(T_ab, T_bc[..., :2])
-    return np.concatenate([xy, wrap(T_ab[..., 2] + T_bc[..., 2])[..., None]], axis=-1)
+    theta = wrap(T_ab[..., 2] + T_bc[..., 2])
+    T_ac = np.empty((*np.shape(theta), 3))
+    T_ac[..., :2], T_ac[..., 2] = transform(T_ab, T_bc[..., :2]), theta
+    return T_ac
 
 
 def inverse(T_ab: ArrayLike) -> Array:
@@ -76,7 +80,9 @@ def inverse(T_ab: ArrayLike) -> Array:
     T = np.asarray(T_ab, dtype=float)
     c, s = np.cos(T[..., 2]), np.sin(T[..., 2])
     x, y = T[..., 0], T[..., 1]
-    return np.stack([-c * x - s * y, s * x - c * y, wrap(-T[..., 2])], axis=-1)
+    T_ba = np.empty(T.shape)
+    T_ba[..., 0], T_ba[..., 1], T_ba[..., 2] = -c * x - s * y, s * x - c * y, wrap(-T[..., 2])
+    return T_ba
 
 
 def between(T_wa: ArrayLike, T_wb: ArrayLike) -> Array:

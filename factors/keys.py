@@ -13,15 +13,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
+from typing import NamedTuple
 
 import gtsam
 
 from mapfuse.datasets.maps import LandmarkMap
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class LandmarkKey:
-    """Pose of a landmark in the merged frame; ``map`` is the place of its map in the problem."""
+class LandmarkKey(NamedTuple):
+    """Pose of a landmark in the merged frame; ``map`` is the place of its map in the problem.
+
+    A tuple, since it is looked up most and those are hashed without a call into Python; the other unknowns, of which
+    there are few, are none, so that no two kinds are ever equal.
+    """
 
     map: int
     id: str

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mapfuse.datasets.compiled import kernel
+from mapfuse.datasets.compiled import inlined, kernel
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -54,7 +54,7 @@ class Limits(NamedTuple):
     prior_sigma: Array
 
 
-@kernel
+@inlined
 def wrap(angle):
     """An angle in (-pi, pi] [rad]; no division for one that is off by less than two turns, as most are."""
     if angle > np.pi:
@@ -66,7 +66,7 @@ def wrap(angle):
     return -((np.pi - angle) % TWO_PI - np.pi)
 
 
-@kernel
+@inlined
 def overlay(A, i, B, j, rotation):
     """Arms of landmark i of map 1 and j of map 2 laid on each other: how many meet one of the same passability, how
     many one of the other, the mean heading difference (NaN: none) and its variance beyond the maps' covariance."""
@@ -106,28 +106,28 @@ def overlays(A, i, B, j, rotation):
     return same, other, shift, variance
 
 
-class Turned(NamedTuple):
-    """Map 2 as seen under a T12: cosine and sine of its rotation, and of each landmark the two entries of the Jacobian
-    of ``T p2`` by T that aren't 0 or 1 (n2,)."""
-
-    c: float
-    s: float
-    x: Array
-    y: Array
+@inlined
+def lever(xy, j, c, s):
+    """The two entries of the Jacobian of ``T p2`` by T that aren't 0 or 1, of landmark j of map 2 turned by an angle
+    of cosine c and sine s."""
+    x, y = xy[j, 0], xy[j, 1]
+    return -s * x - c * y, c * x - s * y
 
 
 @kernel
-def turned(B, T0):
-    """Map 2 under ``T0``."""
+def levers(B, T0, j):
+    """`lever` of many landmarks of map 2, (k,) each."""
     c, s = np.cos(T0[2]), np.sin(T0[2])
-    return Turned(c, s, -s * B.xy[:, 0] - c * B.xy[:, 1], c * B.xy[:, 0] - s * B.xy[:, 1])
+    x, y = np.empty(len(j)), np.empty(len(j))
+    for n in range(len(j)):
+        x[n], y[n] = lever(B.xy, j[n], c, s)
+    return x, y
 
 
-@kernel
-def shared_block(A, i, k, B, j, m, by, prior_sigma, out):
+@inlined
+def shared_block(A, i, k, B, j, m, c, s, prior_sigma, out):
     """Covariance (3, 3) of the residuals of the pairs (i, j) and (k, m), their own noise left out, into ``out``:
-    ``P1[i, k] + R P2[j, m] R' + J_j S J_m'``, map 2 being turned ``by`` T0."""
-    c, s = by.c, by.s
+    ``P1[i, k] + R P2[j, m] R' + J_j S J_m'``, R being of cosine c and sine s."""
     P = B.covariance
     a, b = 3 * j, 3 * m
     for n in range(3):  # rows turned
@@ -139,7 +139,8 @@ def shared_block(A, i, k, B, j, m, by, prior_sigma, out):
     for a in range(3):
         for b in range(3):
             out[a, b] += A.covariance[3 * i + a, 3 * k + b]
-    x1, y1, x2, y2 = by.x[j], by.y[j], by.x[m], by.y[m]
+    x1, y1 = lever(B.xy, j, c, s)
+    x2, y2 = lever(B.xy, m, c, s)
     xx, yy, tt = prior_sigma[0] ** 2, prior_sigma[1] ** 2, prior_sigma[2] ** 2
     out[0, 0] += xx + x1 * x2 * tt
     out[0, 1] += x1 * y2 * tt
@@ -169,12 +170,12 @@ def residuals(A, B, T0, i, j, shift):
 def covariance(A, B, T0, i, j, variance, prior_sigma):
     """Of the residuals of all pairs, T12's prior included (3k, 3k)."""
     k = len(i)
-    by = turned(B, T0)
+    c, s = np.cos(T0[2]), np.sin(T0[2])
     C = np.empty((3 * k, 3 * k))
     block = np.empty((3, 3))
     for n in range(k):
         for m in range(n + 1):
-            shared_block(A, i[n], i[m], B, j[n], j[m], by, prior_sigma, block)
+            shared_block(A, i[n], i[m], B, j[n], j[m], c, s, prior_sigma, block)
             for a in range(3):
                 for b in range(3):
                     C[3 * n + a, 3 * m + b] = block[a, b]
@@ -216,11 +217,12 @@ def solved(B, T0, j, r, C, prior_sigma):
     inverse = inverse_of_factor(np.linalg.cholesky(C))
     weights = inverse.T @ (inverse @ r)
     step = np.zeros(3)
-    by = turned(B, T0)
+    c, s = np.cos(T0[2]), np.sin(T0[2])
     for n in range(len(j)):
+        x, y = lever(B.xy, j[n], c, s)
         step[0] += weights[3 * n]
         step[1] += weights[3 * n + 1]
-        step[2] += by.x[j[n]] * weights[3 * n] + by.y[j[n]] * weights[3 * n + 1] + weights[3 * n + 2]
+        step[2] += x * weights[3 * n] + y * weights[3 * n + 1] + weights[3 * n + 2]
     T12 = T0 + prior_sigma**2 * step
     T12[2] = wrap(T12[2])
     return r, inverse, weights, T12
@@ -268,12 +270,13 @@ def at_rest(A, B, T0, i, j, prior_sigma):
 @kernel
 def T12_covariance(B, T0, j, inverse, prior_sigma):
     """Posterior covariance (3, 3) of T12: ``S - S J' C^-1 J S`` with its prior S and the pairs' Jacobians J."""
-    by = turned(B, T0)
+    c, s = np.cos(T0[2]), np.sin(T0[2])
     J = np.zeros((3 * len(j), 3))
     for n in range(len(j)):
+        x, y = lever(B.xy, j[n], c, s)
         for a in range(3):
             J[3 * n + a, a] = prior_sigma[a] ** 2
-        J[3 * n, 2], J[3 * n + 1, 2] = by.x[j[n]] * prior_sigma[2] ** 2, by.y[j[n]] * prior_sigma[2] ** 2
+        J[3 * n, 2], J[3 * n + 1, 2] = x * prior_sigma[2] ** 2, y * prior_sigma[2] ** 2
     X = inverse @ J
     return np.diag(prior_sigma**2) - X.T @ X
 
@@ -292,20 +295,20 @@ def foretold(A, B, T0, i, j, inverse, weights, at_i, at_j, shift, variance, prio
     innovation = residuals(A, B, T0, at_i, at_j, shift).reshape(m, 3)
     V = np.empty((m, 3, 3))
     block = np.empty((3, 3))
-    by = turned(B, T0)
+    c, s = np.cos(T0[2]), np.sin(T0[2])
     for begin in range(0, m, BATCH):
         end = min(begin + BATCH, m)
         cross = np.empty((3 * (end - begin), 3 * k))
         for n in range(begin, end):
             for l in range(k):
-                shared_block(A, at_i[n], i[l], B, at_j[n], j[l], by, prior_sigma, block)
+                shared_block(A, at_i[n], i[l], B, at_j[n], j[l], c, s, prior_sigma, block)
                 for a in range(3):
                     for b in range(3):
                         cross[3 * (n - begin) + a, 3 * l + b] = block[a, b]
         explained = cross @ weights
         X = cross @ inverse.T
         for n in range(begin, end):
-            shared_block(A, at_i[n], at_i[n], B, at_j[n], at_j[n], by, prior_sigma, block)
+            shared_block(A, at_i[n], at_i[n], B, at_j[n], at_j[n], c, s, prior_sigma, block)
             first = 3 * (n - begin)
             for a in range(3):
                 innovation[n, a] -= explained[first + a]
@@ -469,18 +472,22 @@ def sorted_pairs(partner):
 @kernel
 def near_pairs(p1, p2, may, partner, reach):
     """Pairs that may be the same, aren't matched with each other, and lie within ``reach`` [m]."""
-    room, count = 4 * len(p1), 0
-    i, j = np.empty(room, np.intp), np.empty(room, np.intp)
+    near = np.empty((len(p1), len(p2)), np.bool_)
+    count = 0
+    for a in range(len(p1)):
+        x1, y1 = p1[a, 0], p1[a, 1]
+        for b in range(len(p2)):
+            x, y = x1 - p2[b, 0], y1 - p2[b, 1]
+            near[a, b] = (x * x + y * y < reach * reach) & may[a, b] & (partner[a] != b)
+            count += near[a, b]
+    i, j = np.empty(count, np.intp), np.empty(count, np.intp)
+    count = 0
     for a in range(len(p1)):
         for b in range(len(p2)):
-            if may[a, b] and partner[a] != b:
-                x, y = p1[a, 0] - p2[b, 0], p1[a, 1] - p2[b, 1]
-                if x * x + y * y < reach * reach:
-                    if count == room:
-                        i, j, room = np.concatenate((i, i)), np.concatenate((j, j)), 2 * room
-                    i[count], j[count] = a, b
-                    count += 1
-    return i[:count].copy(), j[:count].copy()
+            if near[a, b]:
+                i[count], j[count] = a, b
+                count += 1
+    return i, j
 
 
 @kernel

@@ -86,8 +86,8 @@ class Linearised:
         for side in (H.T, H):  # a view each: columns, then rows
             x, y = side[:, 0::3].copy(), side[:, 1::3].copy()
             side[:, 0::3], side[:, 1::3] = c * x - s * y, s * x + c * y
-        moves = np.repeat(self.free, 3)
-        return H[np.ix_(moves, moves)]
+        moves = np.flatnonzero(np.repeat(self.free, 3))
+        return H.take(moves, axis=0).take(moves, axis=1)
 
     def blocks(self) -> tuple[Index, Index, Array]:
         """The same as 3x3 blocks: rows and columns (m,) among all poses, and the blocks (m, 3, 3)."""
@@ -165,13 +165,14 @@ class _Dense:
 
     def __init__(self, linearised: Linearised) -> None:
         H = linearised.dense()
-        scale = np.diag(H).copy()
+        scale = H.diagonal()
         L, failed = dpotrf(H, lower=1) if len(H) else (H, 0)
         # rounding may leave a pivot where nothing is measured
-        if failed or np.min(np.diag(L) ** 2 / np.maximum(scale, 1e-300), initial=1.0) < SINGULAR:
+        if failed or np.min(L.diagonal() ** 2 / np.maximum(scale, 1e-300), initial=1.0) < SINGULAR:
             raise SingularError(_loose(H))
-        lower = np.tril(dpotri(L, lower=1)[0]) if len(H) else H
-        self._whole = lower + np.tril(lower, -1).T
+        lower = dpotri(L, lower=1, overwrite_c=1)[0] if len(H) else H  # zeros above its diagonal, as L has
+        self._whole = np.add(lower, lower.T, order="C")
+        np.fill_diagonal(self._whole, lower.diagonal())
 
     def blocks(self, i: Index, j: Index) -> Array:
         n = len(self._whole) // 3

@@ -132,8 +132,7 @@ class Joined:
     def J(self) -> Array:
         """Jacobians of the pairs by T12 (3k, 3), for errors added to (x, y, theta) of T12."""
         J = np.tile(np.eye(3), (len(self.j), 1, 1))
-        by = growth_kernels().turned(self._sides[1], self.T0)
-        J[:, 0, 2], J[:, 1, 2] = by.x[self.j], by.y[self.j]
+        J[:, 0, 2], J[:, 1, 2] = growth_kernels().levers(self._sides[1], self.T0, self.j)
         return J.reshape(-1, 3)
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,33 +127,39 @@ def merged_landmarks(
     mean = csr_array((weights, (rows.ravel(), columns.ravel())), shape=(3 * len(places), len(joint)))
     fused_joint = np.asarray(mean @ (mean @ joint).T)
     fused_joint = (fused_joint + fused_joint.T) / 2
+    merging = _Merging(maps, [headings_of(m) for m in maps], [own.tolist() for own in poses], name_of)
     landmarks = tuple(
-        _landmark(maps, place, poses, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group, name_of)
+        _landmark(merging, place, fused_joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], group)
         for k, place in enumerate(places)
     )
-    height = 3 if all(landmark.heading is not None for landmark in landmarks) else 2
-    kept = np.array([3 * k + row for k in range(len(places)) for row in range(height)], dtype=np.intp)
     order = tuple(landmark.id for landmark in landmarks)
-    return landmarks, JointCovariance(order, height, fused_joint[np.ix_(kept, kept)])
+    if all(landmark.heading is not None for landmark in landmarks):
+        return landmarks, JointCovariance(order, 3, fused_joint)
+    kept = np.flatnonzero(np.arange(len(fused_joint)) % 3 < 2)
+    return landmarks, JointCovariance(order, 2, fused_joint[np.ix_(kept, kept)])
 
 
-def _landmark(
-    maps: Sequence[LandmarkMap],
-    place: Place,
-    poses: Sequence[Array],
-    covariance: Array,
-    group: int,
-    name_of: Mapping[Member, str],
-) -> FusedLandmark:
+class _Merging(NamedTuple):
+    """What all landmarks of a group are merged with: its maps, of each the headings by id and the poses (x, y, theta)
+    in the group's frame, and the fused ids."""
+
+    maps: Sequence[LandmarkMap]
+    headings: Sequence[Mapping[str, float | None]]
+    poses: Sequence[Sequence[Sequence[float]]]
+    name_of: Mapping[Member, str]
+
+
+def _landmark(merging: _Merging, place: Place, covariance: Array, group: int) -> FusedLandmark:
+    maps, name = merging.maps, merging.name_of[place.members[0]]
     # by name, so that what is joined does not depend on the order of the maps
     members = sorted(place.members, key=lambda member: (maps[member[0]].name, maps[member[0]].ids[member[1]]))
     recorded = [maps[r].landmarks[k] for r, k in members]
-    facing = [headings_of(maps[r])[maps[r].ids[k]] for r, k in members]
-    at = [poses[r][k].tolist() for r, k in members]
+    facing = [merging.headings[r][maps[r].ids[k]] for r, k in members]
+    at = [merging.poses[r][k] for r, k in members]
     links = _joined_links(
         [
-            _links(landmark, pose[2] - (own or 0.0), maps[r], r, name_of, name_of[(r, k)])
-            for landmark, own, pose, (r, k) in zip(recorded, facing, at, members, strict=True)
+            _links(landmark, pose[2] - (own or 0.0), maps[r], r, merging.name_of, name)
+            for landmark, own, pose, (r, _) in zip(recorded, facing, at, members, strict=True)
         ]
     )
     x, y = (sum(pose[axis] for pose in at) / len(at) for axis in (0, 1))
@@ -165,7 +172,7 @@ def _landmark(
     for r, k in members:
         sources[maps[r].name] = (*sources.get(maps[r].name, ()), maps[r].ids[k])
     return FusedLandmark(
-        id=name_of[place.members[0]],
+        id=name,
         group=group,
         type=recorded[0].type,
         x=x,

@@ -44,16 +44,18 @@ def noise_fits(solution: Solution, used: Sequence[float] | None = None) -> tuple
     """
     problem, held = solution.problem, solution.linearised
     assert held.residuals is not None
-    of_row = np.repeat(np.arange(len(problem.measurements)), [m.rows for m in problem.measurements])
+    measurements = problem.measurements
+    of_row = np.repeat(np.arange(len(measurements)), [m.rows for m in measurements])
     # rows of zeros at the end of a graph leave no entry
-    squares = np.bincount(of_row[: len(held.residuals)], held.residuals**2, minlength=len(problem.measurements))
-    asked = np.array([isinstance(m, _OF_ONE_MAP) for m in problem.measurements], dtype=bool)
+    squares = np.bincount(of_row[: len(held.residuals)], held.residuals**2, minlength=len(measurements))
+    of_one = [(k, _map_of(m), m.readings) for k, m in enumerate(measurements) if isinstance(m, _OF_ONE_MAP)]
+    which, of_map = (np.array([one[column] for one in of_one], dtype=np.intp) for column in (0, 1))
+    asked = np.zeros(len(measurements), dtype=bool)
+    asked[which] = True
     inside = asked[of_row[held.rows]]
     fitted = _fitted(solution, of_row, held.rows[inside], held.columns[inside], held.values[inside])
-    of_one = [(_map_of(m), m.readings) for m in problem.measurements if isinstance(m, _OF_ONE_MAP)]
-    of_map = np.array([r for r, _ in of_one], dtype=np.intp)
-    left = np.array([n for _, n in of_one]) - fitted[asked]
-    chi2, redundancy = (np.bincount(of_map, x, minlength=len(problem.maps)) for x in (squares[asked], left))
+    left = np.array([readings for _, _, readings in of_one]) - fitted[which]
+    chi2, redundancy = (np.bincount(of_map, x, minlength=len(problem.maps)) for x in (squares[which], left))
     used = used or [1.0] * len(problem.maps)
     return tuple(NoiseFit(float(c), float(max(n, 0.0)), u) for c, n, u in zip(chi2, redundancy, used, strict=True))
 

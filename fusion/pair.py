@@ -116,15 +116,18 @@ def distinct(weighed: list[Weighed], tolerance_m: float) -> list[Weighed]:
     near = (off**2).sum(axis=2) <= (count[:, None] + count) * tolerance_m**2
     matched = np.zeros((len(growths), len(joined.m2)), dtype=bool)
     matched[of, j] = True
-    kept = np.zeros(len(growths), dtype=bool)
-    for k, g in enumerate(growths):
-        if (same[k] & kept).any():
+    related = np.tril(same | near, -1).any(axis=1)
+    kept = ~related
+    for k in np.flatnonzero(related).tolist():
+        if (same[k, :k] & kept[:k]).any():
             continue
         # on one place, by the landmarks that either matches
         kept[k] = all(
-            displacement(g.joined.T12, growths[other].joined.T12, joined.m2.positions[matched[k] | matched[other]])
+            displacement(
+                growths[k].joined.T12, growths[other].joined.T12, joined.m2.positions[matched[k] | matched[other]]
+            )
             >= tolerance_m
-            for other in np.flatnonzero(near[k] & kept).tolist()
+            for other in np.flatnonzero(near[k, :k] & kept[:k]).tolist()
         )
     return [w for w, keep in zip(ordered, kept.tolist(), strict=True) if keep]
 
