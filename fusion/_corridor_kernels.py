@@ -22,7 +22,6 @@ SHORT_M = 0.5
 REACH_M = 25.0
 SAME_DISTANCE_M, SAME_DISTANCE_SHARE = 0.5, 0.03
 ON_A_LINE, LINE_WIDTH_M, DOUBT = 0.5, 1.0, 2.0
-ARM = np.pi / 6  # `mapfuse.datasets.arms.ARM_TOLERANCE`
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -37,7 +36,6 @@ class Corridors(NamedTuple):
     ends: Index
     arm: Array
     passable: Flags
-    travelled: Flags
 
 
 class Rhythm(NamedTuple):
@@ -56,9 +54,8 @@ class Worth(NamedTuple):
     """What a match of each landmark of map 1 (n1,), and of map 2 (n2,), says by itself [nats].
 
     ``point``: in the open, no corridor leads there. ``there``: the log probability that it is there. ``kind``: what its
-    arms say it is, as a number. ``rate`` [1/m]: how common its label is; ``ways``, ``rarity`` (n1, 5): what arms
-    that agree, and a kind that agrees, are worth where so many of these arms were travelled by both robots; ``both``:
-    the probability that two robots record it.
+    arms say it is, as a number. ``rate`` [1/m]: how common its label is; ``ways``, ``rarity``: what arms that agree,
+    and a kind that agrees, are worth; ``both``: the probability that two robots record it.
     """
 
     point1: Flags
@@ -263,8 +260,9 @@ def rhythm(G, H, pair1, pair2, at, rate, pitch):
 
 
 @kernel
-def shares_given(G, H, i, j, at, along, rate, pitch):
-    """`shares` of a building of that ``pitch`` [m], or of none (0)."""
+def shares(G, H, i, j, at, along, rate, pitch):
+    """Share (k,) of other buildings of this style that have a landmark of match k's label where it stands, as
+    `mapfuse.fusion.regularity.Regularity.shares` says."""
     out = np.zeros(len(i))
     corners = 0
     for k in range(len(i)):
@@ -291,18 +289,6 @@ def shares_given(G, H, i, j, at, along, rate, pitch):
 
 
 @kernel
-def shares(G, H, i, j, at, along, rate, pitch):
-    """Share (k,) of other buildings of this style that have a landmark of match k's label where it stands, as
-    `mapfuse.fusion.regularity.Regularity.shares` says; ``pitch``: `mapfuse.fusion.regularity.Pitch`."""
-    out = np.zeros(len(i))
-    if pitch.belief < 1:
-        out += (1 - pitch.belief) * shares_given(G, H, i, j, at, along, rate, 0.0)
-    if pitch.belief > 0:
-        out += pitch.belief * shares_given(G, H, i, j, at, along, rate, pitch.length)
-    return out
-
-
-@kernel
 def given_before(C, r):
     """Innovation (k, 3) and covariance (k, 3, 3) of each pair given those before it: C (3k, 3k) of residuals r."""
     L = np.linalg.cholesky(C)
@@ -324,20 +310,6 @@ def least_known(V):
     """Direction (x, y) in which a covariance (2, 2 or more) of positions is widest."""
     angle = np.arctan2(2 * V[0, 1], V[0, 0] - V[1, 1]) / 2
     return np.cos(angle), np.sin(angle)
-
-
-@kernel
-def travelled_by_both(A, i, B, j, turn):
-    """How many arms of landmark i of map 1 both robots travelled, map 2 with landmark j turned by ``turn`` [rad]."""
-    count = 0
-    for a in range(A.arm.shape[1]):
-        for b in range(B.arm.shape[1]):
-            if A.travelled[i, a] and B.travelled[j, b]:
-                off = (A.arm[i, a] - B.arm[j, b] - turn + np.pi) % TWO_PI - np.pi
-                if abs(off) < ARM:  # NaN compares false
-                    count += 1
-                    break
-    return count
 
 
 @kernel
@@ -373,17 +345,16 @@ def on_corridors(A, B, G, H, W, pitch, turn, i, j, coincide, contradict, C, r, p
 
     A, B, G, H: `Corridors` and `Rhythm` of both maps, map 2 turned by ``turn`` [rad]; W: `Worth`. The matches i, j (k,)
     with how many of their arms ``coincide`` and ``contradict``, covariance C and residuals r; ``p1`` (n1, 2): where the
-    landmarks of map 1 then are; ``pitch``: `mapfuse.fusion.regularity.Pitch`.
+    landmarks of map 1 then are.
     """
     on = np.flatnonzero(~W.point1[i] & ~W.point2[j])
     worth = densities = regular = 0.0
     for n in on:
         worth += W.there1[i[n]] + W.there2[j[n]] - np.log(W.rate[i[n]])
         if coincide[n] >= 2 and contradict[n] == 0:
-            given = travelled_by_both(A, i[n], B, j[n], turn)
-            worth += W.ways[i[n], given]
+            worth += W.ways[i[n]]
             if W.kind1[i[n]] == W.kind2[j[n]]:
-                worth += W.rarity[i[n], given]
+                worth += W.rarity[i[n]]
     if len(on) < 2:  # a single one is what places map 2: its density is the prior of T12
         return worth, 0.0
     for second in range(2):

@@ -20,17 +20,8 @@ from .regularity import Gaps, Regularity, corridor_kernels
 
 Array = NDArray[np.float64]
 
-#: Ways in which a landmark of a kind can lie on a corridor, given that so many (0 to 4) of its arms are where both
-#: robots travelled: such arms it has in any case, since that two corridors are there is what a placement supposes. A
-#: match by chance hits one of these ways.
-ORIENTATIONS = {
-    Kind.CORNER: (4, 2, 1, 0, 0),
-    Kind.T_JUNCTION: (4, 3, 2, 1, 0),
-    Kind.END: (2, 1, 0, 0, 0),
-    Kind.DOOR: (2, 2, 2, 1, 1),
-    Kind.CORRIDOR: (1, 1, 1, 0, 0),
-}
-_ANY_WAY = (1, 1, 1, 1, 1)
+#: Ways a landmark of a kind can lie on a corridor; a match by chance hits one of them.
+ORIENTATIONS = {Kind.CORNER: 4, Kind.T_JUNCTION: 4, Kind.END: 2, Kind.DOOR: 2, Kind.CORRIDOR: 1, Kind.CROSSING: 1}
 #: Landmarks that are added to those seen of each kind, so that one seen once is not that rare.
 KIND_DOUBT = 2.0
 #: Share of the places where corridors cross that no landmark marks (a bridge, a hall), taken from so many such places.
@@ -104,9 +95,7 @@ class Background:
     def corridors(self) -> tuple[Any, Any]:
         """Both maps' corridors as the compiled loops take them (`_corridor_kernels.Corridors`)."""
         of = corridor_kernels().Corridors
-        one, two = (
-            of(m.positions, m.corridors, m.arm_headings, m.arm_passable, m.arm_travelled) for m in (self.m1, self.m2)
-        )
+        one, two = (of(m.positions, m.corridors, m.arm_headings, m.arm_passable) for m in (self.m1, self.m2))
         return one, two
 
     @cached_property
@@ -200,10 +189,8 @@ class Background:
 
     @cached_property
     def ways1(self) -> Array:
-        """Log number of ways in which each landmark of map 1 could lie on its corridor, given that so many of its arms
-        do (n1, 5)."""
-        ways = np.array([ORIENTATIONS.get(kind, _ANY_WAY) for kind in self.kinds[0]], dtype=float)
-        return np.asarray(np.log(np.maximum(ways, 1.0)).reshape(-1, len(_ANY_WAY)))
+        """Log number of ways in which each landmark of map 1 could lie on its corridor (n1,)."""
+        return np.log([float(ORIENTATIONS.get(kind, 1)) for kind in self.kinds[0]])
 
     @cached_property
     def kinds(self) -> tuple[tuple[Kind, ...], tuple[Kind, ...]]:
@@ -223,22 +210,16 @@ class Background:
 
     @cached_property
     def rarity1(self) -> Array:
-        """-log of the share that the kind of each landmark of map 1 has of those of its label, in both maps, which lie
-        so that so many of their arms are given (n1, 5), as in `ORIENTATIONS`; 0 for a kind that hasn't so many."""
+        """-log of the share (n1,) that the kind of each landmark of map 1 has of those of its label, in both maps."""
         of_kind: defaultdict[tuple[str, Kind], float] = defaultdict(float)
+        of_label: defaultdict[str, float] = defaultdict(float)
         for m, kinds in zip((self.m1, self.m2), self.kinds, strict=True):
             for name, kind, false in zip(m.map.types, kinds, m.false.tolist(), strict=True):
                 of_kind[name, kind] += 1 - false
-        of_label: defaultdict[str, Array] = defaultdict(lambda: np.zeros(len(_ANY_WAY)))
-        for (name, kind), count in of_kind.items():
-            of_label[name] += count * _given_arms(kind)
-        found = np.zeros((len(self.m1), len(_ANY_WAY)))
-        for k, (name, kind) in enumerate(zip(self.m1.map.types, self.kinds[0], strict=True)):
-            lying = _given_arms(kind)
-            has = lying > 0
-            own, doubt = of_kind[name, kind] * lying[has], KIND_DOUBT * lying[has]
-            found[k, has] = -np.log((own + doubt) / (of_label[name][has] + doubt))
-        return found
+                of_label[name] += 1 - false
+        of_its = zip(self.m1.map.types, self.kinds[0], strict=True)
+        shares = [(of_kind[name, kind] + KIND_DOUBT) / (of_label[name] + KIND_DOUBT) for name, kind in of_its]
+        return np.asarray(-np.log(np.array(shares, dtype=float)))
 
     @cached_property
     def labels(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -270,12 +251,6 @@ class Background:
     def _recorded_by_both(self, rates: dict[str, float]) -> float:
         noise1, noise2 = self.m1.map.noise, self.m2.map.noise
         return sum(rate * noise1.detection(name) * noise2.detection(name) for name, rate in rates.items())
-
-
-def _given_arms(kind: Kind) -> Array:
-    """Share (5,) of the ways in which a kind lies on a corridor that have so many arms where these are given."""
-    ways = np.array(ORIENTATIONS.get(kind, _ANY_WAY), dtype=float)
-    return np.asarray(ways / ways[0])
 
 
 def _point_like(m: PreparedMap) -> NDArray[np.bool_]:

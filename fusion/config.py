@@ -67,8 +67,8 @@ class EvidenceConfig:
     ``corridor_width_m`` [m]: a landmark that far from a travelled link, or less, was passed.
     ``corridor_angle_deg`` [degrees]: a link that strays further from its arm is no travelled corridor.
     ``arm_error_rate``: probability that a sensed arm is wrong about being passable.
-    ``look_elsewhere`` [nats]: taken off a hypothesis of points, since many are tried; off one of corridors half of
-    it, down to nothing where the maps show that the building isn't regular.
+    ``look_elsewhere`` [nats]: taken off for each hypothesis, since many are tried; down to half of it where the maps
+    show that the building isn't regular.
     ``repetition_rate``: probability that a building repeats itself in a way that two hypotheses fit.
     ``repetition_odds`` [nats]: log odds that a wrong hypothesis may reach by chance where nothing repeats.
     ``alike_rate``: probability that maps which share nothing show two floors of one plan, alike but for some landmarks.

@@ -14,7 +14,6 @@ from operator import attrgetter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaln
 
 from mapfuse.datasets.se2 import wrap
 
@@ -31,12 +30,9 @@ Array = NDArray[np.float64]
 
 #: Probability that two different buildings stand on one street grid, so that they agree modulo a quarter turn.
 ONE_GRID = 0.5
-#: Along corridors this share of `EvidenceConfig.look_elsewhere` is taken off at most: all of that where what a regular
-#: building is worth less comes to so many nats; nothing where it comes to none, and so many distances along corridors
-#: are known that a rhythm would show.
-OF_CORRIDORS, REGULAR_NATS, DISTANCES = 0.45, 7.5, 20
-#: The error rate of arms is believed as if it had been found from so many.
-ARMS_BEFORE = 4.0
+#: All of `EvidenceConfig.look_elsewhere` is taken off where what a regular building is worth less comes to so many
+#: nats; half of it where it comes to none, and so many distances along corridors are known that a rhythm would show.
+REGULAR_NATS, DISTANCES = 7.5, 20
 #: Probability that a compass agrees by chance although its robot was misled by steel everywhere.
 STEEL_RATE = 0.001
 
@@ -145,29 +141,14 @@ def _compass(m1: PreparedMap, m2: PreparedMap, theta: Array) -> Array:
 
 
 def look_elsewhere(regular: ArrayLike, distances: ArrayLike, config: EvidenceConfig) -> Array:
-    """What is taken off a hypothesis of corridors (...) [nats]: many are tried, and fit by what the model leaves out.
+    """What is taken off a hypothesis (...) [nats], since many are tried and fit by what the model leaves out.
 
-    All of `OF_CORRIDORS` where the building is regular, by what that takes off (``regular`` (...) [nats], not above 0),
-    or where too few ``distances`` (...) between landmarks are known to tell; down to nothing where they show none.
+    All of it where the building is regular, by what that takes off (``regular`` (...) [nats], not above 0), or where
+    too few ``distances`` (...) between landmarks are known to tell; down to half of it where they show none.
     """
     known = np.minimum(np.asarray(distances) / DISTANCES, 1.0)
     irregular = np.maximum(1 + np.asarray(regular) / REGULAR_NATS, 0.0) * known
-    return np.asarray((1 - irregular) * OF_CORRIDORS * config.look_elsewhere)
-
-
-def contradictions(agree: ArrayLike, contradict: ArrayLike, config: EvidenceConfig) -> Array:
-    """What arms of matched landmarks take off [nats] (...) that ``contradict`` (...), where so many others ``agree``.
-
-    How often the robots sense arms wrongly isn't known but as if `ARMS_BEFORE` arms had been compared before, of which
-    the share `EvidenceConfig.arm_error_rate` contradicted. Each arm is predicted from all before it (a beta-binomial
-    distribution), those that agree first; under no overlap an arm is open or blocked with even odds.
-
-    >>> contradictions([0, 30], [1, 1], EvidenceConfig(arm_error_rate=0.05)).round(2).tolist()
-    [-2.3, -4.44]
-    """
-    wrong, c = ARMS_BEFORE * config.arm_error_rate, np.asarray(contradict)
-    seen = ARMS_BEFORE + np.asarray(agree)
-    return np.asarray(c * math.log(2) + gammaln(wrong + c) - gammaln(wrong) - gammaln(seen + c) + gammaln(seen))
+    return np.asarray((1 - irregular / 2) * config.look_elsewhere)
 
 
 def weigh(growth: Growth, background: Background, config: EvidenceConfig) -> Weighed:
@@ -181,19 +162,19 @@ def weigh_all(growths: Sequence[Growth], background: Background, config: Evidenc
         return []
     several = Several.of(g.joined for g in growths)
     said = silences(several, background, config)
-    agree, contradict = (several.sums(np.concatenate([one.arms_met[k] for one in several.each])) for k in (0, 1))
-    arms = said.arms + contradictions(agree, contradict, config)
+    contradict = np.concatenate([one.arms_met[1] for one in several.each])
+    arms = said.arms + per_arm(config) * several.sums(contradict)
     compass = _compass(background.m1, background.m2, several.turns)
     angle = math.radians(config.corridor_angle_deg)
     matches, regular = corridor_matches(several, background, angle)
     prior = corridor_prior(background, said.overlap)
-    searched = look_elsewhere(regular, background.regularity(angle).distances, config)
-    spared = OF_CORRIDORS * config.look_elsewhere - searched
+    distances = np.full(len(growths), background.regularity(angle).distances)
     if background.has_points:
         on_points = several.sums(~background.points1[several.i]) == 0
-        searched[on_points], spared[on_points] = config.look_elsewhere, 0.0
+        distances[on_points] = 0
         if on_points.any():
             prior[on_points] = point_prior(background)
+    searched = look_elsewhere(regular, distances, config)
     points = [point_matches(one, background) for one in several.each]
     columns = (prior - searched, matches, points, regular, said.misses, said.void, arms, said.crossings, compass)
     terms = [Terms(*row) for row in np.column_stack(columns).tolist()]
@@ -202,22 +183,13 @@ def weigh_all(growths: Sequence[Growth], background: Background, config: Evidenc
         (said.missed1, 1 - background.unseen1),
         (said.missed2, 1 - background.unseen2),
     )
-    # an image has the arms of the right place, but for some: that one is another way tells it less apart than a place
-    # which has nothing to do with it
-    apart = (said.arms + per_arm(config) * contradict + said.crossings + compass).tolist()
+    apart = (arms + said.crossings + compass).tolist()
+    spared = (config.look_elsewhere - searched).tolist()
     missed1, missed2 = _of_missed(said.missed1, said.through1), _of_missed(said.missed2, said.through2)
     return [
         Weighed(growth, of_terms, off, odds, one[0], two[0], one[1], two[1], left, other)
         for growth, of_terms, off, odds, one, two, left, other in zip(
-            growths,
-            terms,
-            apart,
-            lacking,
-            missed1,
-            missed2,
-            spared.tolist(),
-            another_floor(lacking).tolist(),
-            strict=True,
+            growths, terms, apart, lacking, missed1, missed2, spared, another_floor(lacking).tolist(), strict=True
         )
     ]
 

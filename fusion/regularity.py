@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, rel_entr
+from scipy.special import rel_entr
 
 from mapfuse.datasets.compiled import kernels
 from mapfuse.datasets.maps import SPATIAL_TYPES
@@ -34,10 +34,9 @@ SAME_DISTANCE_M, SAME_DISTANCE_SHARE = 0.5, 0.03
 ON_A_LINE = 0.5
 #: Landmarks on one line through a corridor are at most this far from it [m].
 LINE_WIDTH_M = 1.0
-#: Pitches [m] that are tried: from, below, step. One of which multiples stand out by so many nats is as likely there as
-#: not: buildings without a pitch reach 7 in one of ten cases, those of one pitch 10 in nine of ten (tuning pairs).
+#: Pitches [m] that are tried: from, below, step. One is believed where multiples of it stand out by so many nats.
 PITCHES_M = (4.0, 15.0, 0.1)
-PITCH_ODDS = 8.5
+PITCH_ODDS = 10.0
 #: Exposures that are added to those seen, so that one repeated distance is no rhythm.
 DOUBT = 2.0
 
@@ -93,26 +92,14 @@ class Gaps:
         )
 
 
-class Pitch(NamedTuple):
-    """What the distances between corners and junctions are multiples of, ``length`` [m], and the probability that they
-    are, ``belief``, to one per cent."""
+def pitch_of(distances: Array) -> float:
+    """The pitch [m] of which the distances (k,) between corners and junctions are multiples, or 0 where there is none.
 
-    length: float
-    belief: float
-
-
-#: The distances are multiples of nothing.
-NO_PITCH = Pitch(0.0, 0.0)
-
-
-def pitch_of(distances: Array) -> Pitch:
-    """The pitch [m] of which the distances (k,) between corners and junctions are multiples, and how far to believe it.
-
-    The one for which the share of multiples stands out most against chance, by its log likelihood ratio, which makes it
-    likely as far as it exceeds `PITCH_ODDS`; then by least squares over those multiples.
+    The one for which the share of multiples stands out most against chance, by its log likelihood ratio, which must be
+    `PITCH_ODDS` nats; then by least squares over those multiples.
     """
     if not len(distances):
-        return NO_PITCH
+        return 0.0
     pitches = np.arange(*PITCHES_M)
     steps = np.maximum(np.round(distances / pitches[:, None]), 1.0)
     tolerance = SAME_DISTANCE_M + SAME_DISTANCE_SHARE * distances
@@ -120,12 +107,11 @@ def pitch_of(distances: Array) -> Pitch:
     chance = np.minimum(2 * tolerance.mean() / pitches, 0.999)
     odds = len(distances) * (rel_entr(share, chance) + rel_entr(1 - share, 1 - chance))
     best = int(np.argmax(np.where(share > chance, odds, -np.inf)))
-    if share[best] <= chance[best]:
-        return NO_PITCH
+    if share[best] <= chance[best] or odds[best] <= PITCH_ODDS:
+        return 0.0
     n = steps[best]
     multiple = np.abs(distances - n * pitches[best]) < tolerance
-    belief = round(float(expit(odds[best] - PITCH_ODDS)), 2)
-    return Pitch(float((distances @ (n * multiple)) / (n @ (n * multiple))), belief) if belief else NO_PITCH
+    return float((distances @ (n * multiple)) / (n @ (n * multiple)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +127,8 @@ class Regularity:
         return sum(int((g.pairs[:, 0] < g.pairs[:, 1]).sum()) for g in (self.gaps1, self.gaps2))
 
     @cached_property
-    def pitch(self) -> Pitch:
-        """Pitch of both maps' corridors."""
+    def pitch(self) -> float:
+        """Pitch [m] of both maps' corridors, or 0."""
         return pitch_of(np.concatenate([self.gaps1.between_spatial, self.gaps2.between_spatial]))
 
     def shares(self, i: Index, j: Index, at: Array, along: Array, rate: Array) -> Array:
@@ -151,5 +137,7 @@ class Regularity:
         Matches (i, j) in the order in which they are come upon, standing ``at`` (k, 2) [m], each come upon in the
         direction ``along`` (k, 2); ``rate`` (k,) [1/m]: how common its label is anywhere.
         """
-        found: Array = corridor_kernels().shares(self.gaps1.table, self.gaps2.table, i, j, at, along, rate, self.pitch)
+        found: Array = corridor_kernels().shares(
+            self.gaps1.table, self.gaps2.table, i, j, at, along, rate, float(self.pitch)
+        )
         return found

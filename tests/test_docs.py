@@ -84,9 +84,8 @@ def test_expected_likelihood_ratio_without_overlap_is_1():
     assert mean / void < 0.3, "without the void term every placement would be punished"
 
 
-def test_a_straight_corridor_is_weighed_as_derived_by_hand(monkeypatch):
+def test_a_straight_corridor_is_weighed_as_derived_by_hand():
     """Two maps of one corridor along x; a door in each that the other lacks; everything where it truly is."""
-    monkeypatch.setattr(regularity, "PITCH_ODDS", 100.0)  # three distances, all multiples of 3 m, are no pitch here
     noise1 = Noise(detection_rate=0.8, false_alarm_rate=0.2, door_detection_rate=0.9, door_false_alarm_rate=0.05)
     noise2 = Noise(
         distance_sigma_per_metre=0.03, detection_rate=0.7, false_alarm_rate=0.1, door_detection_rate=0.85,
@@ -111,8 +110,7 @@ def test_a_straight_corridor_is_weighed_as_derived_by_hand(monkeypatch):
     first, second = 2 * place + v9, v15 + place + 1 / (1 / place + 1 / (place + v9))
     densities = -0.5 * np.log(2 * np.pi * first) - 0.5 * np.log(2 * np.pi * second)
     detections = 2 * np.log((1 - fa1) * (1 - fa2)) + np.log((1 - through1) * (1 - through2))
-    # of the 4 ways in which each can lie, 2 have the arm of a corner, or the two of the junction, that both travelled
-    clutter = 3 * np.log(2) - 2 * np.log(nu["corner"]) - np.log(nu["junction"])
+    clutter = 3 * np.log(4) - 2 * np.log(nu["corner"]) - np.log(nu["junction"])
     expected = {
         # two maps of three landmarks hold six distances
         "prior": np.log(length / (2 * length * length)) - look_elsewhere(0.0, 6, config),

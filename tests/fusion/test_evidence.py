@@ -6,33 +6,20 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from scipy.stats import beta, multivariate_normal, norm
+from scipy.stats import multivariate_normal, norm
 
 from mapfuse.datasets import se2
-from mapfuse.datasets.arms import Kind
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
 from mapfuse.datasets.simulation import simulated_pair
-from mapfuse.fusion.background import ORIENTATIONS, Background
+from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.coverage import SeenArea, Segments, overlap_length, passed
 from mapfuse.fusion.elastic import PRIOR_SIGMA, Joined
-from mapfuse.fusion.evidence import (
-    ARMS_BEFORE,
-    DISTANCES,
-    OF_CORRIDORS,
-    ONE_GRID,
-    REGULAR_NATS,
-    STEEL_RATE,
-    contradictions,
-    look_elsewhere,
-    weigh,
-    weigh_all,
-)
+from mapfuse.fusion.evidence import DISTANCES, ONE_GRID, REGULAR_NATS, STEEL_RATE, look_elsewhere, weigh, weigh_all
 from mapfuse.fusion.growth import Growth, grow
 from mapfuse.fusion.pair import grow_all
 from mapfuse.fusion.passing import emptiness, passing_at, per_arm
 from mapfuse.fusion.prepared import prepare
-from mapfuse.fusion.regularity import corridor_kernels
 from mapfuse.fusion.repetition import LACKING
 from mapfuse.matching import propose
 
@@ -91,8 +78,8 @@ def test_a_corridor_that_both_robots_recorded_alike():
     # the second end: 0 m off along the corridor. Each map's length has sigma 0.1 + 0.02 * 20 (one reading, since it
     # stands equal at both ends), and at each end the robots mean the same place to 0.05 m
     along = norm.logpdf(0.0, scale=np.sqrt(2 * 0.5**2 + 2 * 0.05**2))
-    # each match: both are there, against the density of ends; which way they lie is given, both having been there
-    assert terms.matches == pytest.approx(2 * (2 * np.log(1 - fa) - np.log(rate)) + along, abs=1e-3)
+    # each match: both are there, it lies in one of an end's two orientations, against the density of ends
+    assert terms.matches == pytest.approx(2 * (2 * np.log(1 - fa) + np.log(2) - np.log(rate)) + along, abs=1e-3)
     # one corridor is no rhythm
     assert terms.regular == 0
     assert terms.void == pytest.approx(rate * PD * PD * LENGTH, rel=1e-6)
@@ -243,74 +230,19 @@ def test_a_corner_and_a_junction_at_one_place_are_not_both_there(apart):
     assert swapped.misses + swapped.arms == pytest.approx(both)
 
 
-def test_contradictions_are_what_an_unknown_error_rate_makes_of_them():
-    # the beta-binomial by its definition: mean over rates e of e^c (1 - e)^m, over that of (1 - e)^m, against even odds
-    for agree, contradict in ((0, 1), (7, 1), (20, 3), (20, 0)):
-        e = beta(ARMS_BEFORE * CONFIG.arm_error_rate, ARMS_BEFORE * (1 - CONFIG.arm_error_rate))
-        both = e.expect(lambda x, m=agree, c=contradict: x**c * (1 - x) ** m)
-        agreeing = e.expect(lambda x, m=agree: (1 - x) ** m)
-        expected = np.log(both / agreeing) + contradict * np.log(2)
-        assert contradictions(agree, contradict, CONFIG) == pytest.approx(expected, abs=1e-3)
-
-
 def test_arms_that_contradict_at_a_matched_landmark():
     opened = end("west", 0.0, 0.0, "east", LENGTH)
     opened = Landmark("west", "corner", 0.0, 0.0, links=(*opened.links[:1], Link("open", np.pi / 2), *opened.links[2:]))
     two = prepare(LandmarkMap("two", (opened, end("east", LENGTH, np.pi, "west", LENGTH))), SOLVING)
     found = weighed(corridor("one"), two, BOTH_ENDS)
-    # of eight arms that meet seven agree; before them as if four had met, of which the error rate contradicted
-    agree = int(found.growth.joined.arms.coincide.sum())
-    assert found.terms.arms == pytest.approx(np.log(4 * CONFIG.arm_error_rate / (4 + agree) / 0.5))
-    # an image has most arms of the right place, too: this tells it apart by no more than the rate itself
-    assert found.apart == pytest.approx(np.log(CONFIG.arm_error_rate / 0.5))
-    # and they don't lie on their corridor the same way: that what they are agrees isn't credited
+    assert found.terms.arms == pytest.approx(np.log(CONFIG.arm_error_rate / 0.5))
+    # and they don't lie on their corridor the same way: that one of two orientations agrees isn't credited
     one = Background(corridor("one"), two)
     least = sum(one.there1) + sum(one.there2) - np.log(one.rates1).sum()
     along = norm.logpdf(0.0, scale=np.sqrt(2 * 0.5**2 + 2 * 0.05**2))
-    assert found.terms.matches == pytest.approx(least + one.rarity1[1, 1] + along, abs=2e-3)
+    assert found.terms.matches == pytest.approx(least + np.log(2) + one.rarity1[1] + along, abs=2e-3)
     # of four recorded ends three are ends and one is a corner, and two more of each are thought of
-    assert np.exp(-one.rarity1[1, 0]) == pytest.approx((3 + 2) / (4 + 2), rel=0.01)
-    # half of the ways of either has an arm where the corridor is; two arms none of an end's have
-    assert np.exp(-one.rarity1[1, 1]) == pytest.approx((3 + 2) / (4 + 2), rel=0.01)
-    assert one.rarity1[1, 2] == 0
-
-
-def test_ways_are_those_that_have_the_arms_which_both_robots_travelled():
-    arms = {Kind.CORNER: (1, 1, 0, 0), Kind.T_JUNCTION: (1, 1, 1, 0), Kind.END: (1, 0, 0, 0), Kind.CROSSING: (1,) * 4}
-    for kind, open_arms in arms.items():
-        turned = {tuple(np.roll(open_arms, k).tolist()) for k in range(4)}
-        on_line = [way for way in turned if way[0] or way[2]]  # a corridor leads from there to East or West
-        for given in [(), (0,), (0, 2), (0, 1), (0, 1, 2), (0, 1, 2, 3)]:
-            having = sum(all(way[k] for k in given) for way in on_line)
-            if kind is Kind.CORNER and given == (0, 2):
-                continue  # two arms in line are none of a corner's
-            assert ORIENTATIONS.get(kind, (1,) * 5)[len(given)] == having, (kind, given)
-
-
-def test_arms_that_both_robots_travelled_are_no_coincidence():
-    """A junction on a corridor that both drove along: its two arms there are the corridor's, and only to which side the
-    third leads can agree by chance; where one robot turned off there, and the other drove on, no more is given."""
-
-    def t(name, *to):
-        links = [Link("open", angle, None, far, 10.0 if far else None, 1 if far else 0) for angle, far in to]
-        return Landmark(name, "junction", 10.0, 0.0, links=(*links, Link("blocked", -np.pi / 2)))
-
-    def recorded(name, north):
-        west = end("west", 0.0, 0.0, "t", 10.0)
-        east = end("east", 20.0, np.pi, "t", 10.0)
-        places = [west, t("t", (np.pi, "west"), (0.0, "east"), (np.pi / 2, north)), east]
-        if north:
-            places.append(
-                Landmark("north", "corner", 10.0, 10.0, links=(Link("open", -np.pi / 2, None, "t", 10.0, 1),))
-            )
-        return prepare(LandmarkMap(name, tuple(places)), SOLVING)
-
-    on, off = recorded("on", None), recorded("off", "north")
-    kernel = corridor_kernels().travelled_by_both
-    for one, two, expected in ((on, on, 2), (off, off, 3), (on, off, 2)):
-        A, B = Background(one, two).corridors
-        assert kernel(A, one.map.index_from_id["t"], B, two.map.index_from_id["t"], 0.0) == expected
-        assert kernel(A, one.map.index_from_id["t"], B, two.map.index_from_id["t"], np.pi) <= 2
+    assert np.exp(-one.rarity1[1]) == pytest.approx((3 + 2) / (4 + 2), rel=0.01)
 
 
 def test_what_both_recorded_need_not_be_pairs():
@@ -510,16 +442,16 @@ def test_the_evidence_is_the_sum_of_its_terms():
         BOTH_ENDS,
         config=EvidenceConfig(look_elsewhere=CONFIG.look_elsewhere + 3),
     )
-    assert found.log_odds - further.log_odds == pytest.approx(3.0 * OF_CORRIDORS * (1 - 2 / DISTANCES))
+    assert found.log_odds - further.log_odds == pytest.approx(3.0 * (1 - 2 / DISTANCES / 2))
 
 
 def test_only_maps_that_show_no_rhythm_pay_less_for_the_search():
-    full = OF_CORRIDORS * CONFIG.look_elsewhere
-    assert look_elsewhere(0.0, DISTANCES, CONFIG) == look_elsewhere(0.0, 10 * DISTANCES, CONFIG) == 0
+    full = CONFIG.look_elsewhere
+    assert look_elsewhere(0.0, DISTANCES, CONFIG) == look_elsewhere(0.0, 10 * DISTANCES, CONFIG) == full / 2
     assert (
         look_elsewhere(0.0, DISTANCES // 2, CONFIG)
         == look_elsewhere(-REGULAR_NATS / 2, DISTANCES, CONFIG)
-        == pytest.approx(full / 2)
+        == 0.75 * full
     )
     assert look_elsewhere(-100.0, DISTANCES, CONFIG) == look_elsewhere(0.0, 0, CONFIG) == full
 
@@ -548,9 +480,7 @@ def test_all_hypotheses_at_once_weigh_what_each_does_alone(seed, kind, trees):
         joined = growth.joined
         way = passing_at(joined.T12, joined.corrected(), (growth.i, growth.j), background, CONFIG)
         misses, void, arms, crossings = emptiness(way, background, CONFIG)
-        agree, contradict = joined.arms.coincide.sum(), joined.arms.contradict.sum()
-        apart = arms + per_arm(CONFIG) * contradict
-        arms += contradictions(agree, contradict, CONFIG)
+        arms += per_arm(CONFIG) * joined.arms.contradict.sum()
         terms = found.terms
         assert (terms.misses, terms.void, terms.arms, terms.crossings) == pytest.approx((misses, void, arms, crossings))
         assert found.missed1 == alone.missed1 == tuple(way.missed1)
@@ -560,4 +490,4 @@ def test_all_hypotheses_at_once_weigh_what_each_does_alone(seed, kind, trees):
         gone = 1 - np.concatenate([background.unseen1[way.missed1], background.unseen2[way.missed2]])
         by_hand = [len(hits) * np.log(1 - s) + np.log((1 - gone * (1 - s)) / (1 - gone)).sum() for s in LACKING]
         assert found.lacking == pytest.approx(by_hand)
-        assert found.apart == pytest.approx(apart + terms.crossings + terms.compass)
+        assert found.apart == pytest.approx(terms.arms + terms.crossings + terms.compass)

@@ -14,7 +14,7 @@ from mapfuse.fusion.coincidence import corridor_matches
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.elastic import Joined, Several
 from mapfuse.fusion.prepared import prepare
-from mapfuse.fusion.regularity import DOUBT, NO_PITCH, ON_A_LINE, Gaps, Pitch, Regularity, corridor_kernels, pitch_of
+from mapfuse.fusion.regularity import DOUBT, ON_A_LINE, Gaps, Regularity, corridor_kernels, pitch_of
 
 ANGLE = float(np.deg2rad(EvidenceConfig().corridor_angle_deg))
 WEST, EAST, NORTH = np.pi, 0.0, np.pi / 2
@@ -54,32 +54,19 @@ def test_the_compiled_loops_hold_the_same_constants():
 def test_a_pitch_is_found_among_multiples_of_it(pitch):
     rng = np.random.default_rng(3)
     distances = pitch * rng.integers(1, 4, 20) + rng.normal(0, 0.15, 20)
-    assert pitch_of(distances).length == pytest.approx(pitch, abs=0.15)
-    assert pitch_of(distances).belief == 1
+    assert pitch_of(distances) == pytest.approx(pitch, abs=0.15)
     # with a fifth of them anything
     distances[:4] = rng.uniform(3, 25, 4)
-    assert pitch_of(distances).length == pytest.approx(pitch, abs=0.15)
-    assert pitch_of(distances).belief > 0.9
+    assert pitch_of(distances) == pytest.approx(pitch, abs=0.15)
 
 
 def test_distances_without_a_pitch_have_none():
     rng = np.random.default_rng(4)
-    found = [pitch_of(rng.uniform(4, 25, 20)).belief for _ in range(200)]
-    assert sum(belief > 0.5 for belief in found) <= 4
-    assert np.mean(found) < 0.05
-    assert pitch_of(np.zeros(0)) == NO_PITCH
+    found = [pitch_of(rng.uniform(4, 25, 20)) for _ in range(200)]
+    assert sum(p > 0 for p in found) <= 4
+    assert pitch_of(np.zeros(0)) == 0.0
     # a handful of equal distances is no proof of a pitch
-    assert pitch_of(np.full(3, 9.0)).belief < 0.1
-
-
-def test_a_pitch_that_some_distances_show_is_believed_by_as_much():
-    # the more multiples of 9.5 m there are the more it is, and what a match is worth goes from one to the other
-    rng = np.random.default_rng(3)
-    distances = 9.5 * rng.integers(1, 4, 12) + rng.normal(0, 0.15, 12)
-    beliefs = [pitch_of(distances[:k]).belief for k in range(13)]
-    assert beliefs == sorted(beliefs)
-    assert any(0.05 < belief < 0.95 for belief in beliefs)
-    assert (beliefs[0], beliefs[-1]) == (0.0, 1.0)
+    assert pitch_of(np.full(3, 9.0)) == 0.0
 
 
 def test_gaps_follow_straight_corridors_only():
@@ -122,7 +109,7 @@ def test_a_repeated_distance_is_a_rhythm_in_which_the_match_itself_does_not_coun
     stations += [(28.0, "junction")]
     m1, m2 = along_x("a", stations), along_x("b", stations[:2])
     found = regularity(m1, m2)
-    assert found.pitch == NO_PITCH
+    assert found.pitch == 0.0
     a, b = found.gaps1.start[0], found.gaps1.label[1]
     times, could = met(found.gaps1, a, b, 3.0, (0, 1))
     assert (times, could) == (
@@ -155,27 +142,12 @@ def test_a_corner_on_the_line_of_an_earlier_one_is_expected_there():
     assert found.shares(i, j, beside, along, np.full(2, 0.05)).tolist() == [0.0, 0.0]
 
 
-def test_a_share_lies_between_that_of_a_pitch_and_that_of_none_as_the_pitch_is_believed():
-    m1, m2 = (along_x(name, [(0, "junction"), (10, "junction"), (20, "junction"), (30, "junction")]) for name in "ab")
-    found = regularity(m1, m2)
-    i = j = np.arange(4)
-    along = np.array([[np.nan, np.nan], *[[1.0, 0.0]] * 3])
-
-    def shares(pitch):
-        kernel = regular.corridor_kernels().shares
-        return kernel(found.gaps1.table, found.gaps2.table, i, j, m1.positions, along, np.full(4, 0.05), pitch)
-
-    believed, none = shares(Pitch(10.0, 1.0)), shares(NO_PITCH)
-    assert (believed[1:] > none[1:] + 0.01).all()
-    assert shares(Pitch(10.0, 0.3)) == pytest.approx(0.3 * believed + 0.7 * none)
-
-
 def test_simulated_floors_of_one_pitch_have_it_and_others_have_none():
     # tuning seeds
     alike = [regularity(*prepared(seed, "alike")).pitch for seed in range(84_000, 84_012)]
-    assert sum(abs(p.length - 10) < 0.5 and p.belief > 0.5 for p in alike) >= 10
+    assert sum(abs(p - 10) < 0.5 for p in alike) >= 10
     irregular = [regularity(*prepared(seed, "irregular")).pitch for seed in range(84_000, 84_012)]
-    assert sum(p.belief > 0.5 for p in irregular) <= 1
+    assert sum(p > 0 for p in irregular) <= 2
 
 
 def prepared(seed, kind) -> tuple:
