@@ -48,7 +48,6 @@ def placed_in(segment: Segment, smoother: Smoother) -> Place:
     said = segment.placed
     assert said is not None
     name = segment.name
-    group = next(group for group in smoother.groups if name in group)
     known = smoother.local_landmarks(name)
     kept = [k for k, identifier in enumerate(said.order) if identifier in known]
     ids = [said.order[k] for k in kept]
@@ -68,7 +67,7 @@ def placed_in(segment: Segment, smoother: Smoother) -> Place:
     whole[:, :3] += by_T
     C = whole @ C @ whole.T + by_pose @ rest @ by_pose.T
     there = se2.compose(T, pose) + np.array([*smoother.origin_of_group(name), 0.0])
-    return Place(segment.robot, group[0], Transform.from_array(there, (C + C.T) / 2), said.t)
+    return Place(segment.robot, smoother.first_of_group(name), Transform.from_array(there, (C + C.T) / 2), said.t)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -296,7 +296,7 @@ class Smoother:
         """Covariance (3 + 3k, 3 + 3k) of `local_frame` and these landmarks together, in the axes of the group's frame,
         given the frame that the gauge holds: what keeps the solver from floating is no uncertainty."""
         number = self._held[name].number
-        first = self._held[next(group[0] for group in self._groups if name in group)].number
+        first = self._held[self.first_of_group(name)].number
         own = [FrameKey(number), *(LandmarkKey(number, i) for i in ids)]
         C = self.tree.covariance(own if number == first else [FrameKey(first), *own])
         gauge, rest = C[:3, :3], C[3:, 3:]
@@ -328,7 +328,11 @@ class Smoother:
 
     def origin_of_group(self, name: str) -> Array:
         """Origin (2,) [m] of the local coordinates of the first map of this one's group."""
-        return self._origin(next(group[0] for group in self._groups if name in group))
+        return self._origin(self.first_of_group(name))
+
+    def first_of_group(self, name: str) -> str:
+        """The map whose frame is that of this one's group."""
+        return next(group[0] for group in self._groups if name in group)
 
     def _origin(self, name: str) -> Array:
         return self._held[name].segment.origin
