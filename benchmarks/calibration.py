@@ -126,7 +126,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
     raw = 1 / (1 + np.exp(-np.clip([o.raw for o in outcomes], -500, 500)))
     merged = [o for o in outcomes if o.decision == "merged"]
     different = [o for o in outcomes if not CLASSES[o.pair_class].same]
-    symmetric = [o for o in outcomes if CLASSES[o.pair_class].symmetric]
+    symmetric = [o for o in outcomes if CLASSES[o.pair_class].symmetric and CLASSES[o.pair_class].same]
     plain = [o for o in outcomes if CLASSES[o.pair_class].same and not CLASSES[o.pair_class].symmetric]
     many, few = [o for o in plain if o.common >= 8], [o for o in plain if 5 <= o.common <= 7]
     blind, seeing = ([o for o in symmetric if CLASSES[o.pair_class].compass is c] for c in (False, True))

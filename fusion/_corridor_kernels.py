@@ -21,7 +21,7 @@ SHORT_M = 0.5
 # Constants of `mapfuse.fusion.regularity`.
 REACH_M = 25.0
 SAME_DISTANCE_M, SAME_DISTANCE_SHARE = 0.5, 0.03
-ON_A_LINE, LINE_WIDTH_M, DOUBT = 0.5, 1.0, 2.0
+ON_A_LINE, LINE_WIDTH_M, DOUBT, SAME_WAY = 0.5, 1.0, 2.0, 0.7
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -43,8 +43,10 @@ class Rhythm(NamedTuple):
 
     pairs: Index
     distance: Array
+    toward: Array
     origin: Index
     exposure: Array
+    outward: Array
     start: Index
     label: Index
     spatial: Flags
@@ -164,13 +166,22 @@ def visited(xy, corridors, arm, passable, matched):
 
 
 @kernel
+def rows_of(listed):
+    """A list of (x, y) as an array (k, 2), an empty one as well."""
+    out = np.empty((len(listed), 2))
+    for k in range(len(listed)):
+        out[k, 0], out[k, 1] = listed[k]
+    return out
+
+
+@kernel
 def gaps(xy, corridors, reach, cosine):
-    """What is come upon along straight corridors: from landmark a to b at ``distance`` [m], up to ``reach``; and how
-    far one could go on straight from each landmark in each direction it was left by (a, metres)."""
+    """What is come upon along straight corridors: from landmark a to b at a distance [m], up to ``reach``, and in which
+    direction it was left; and how far one could go on straight from each landmark in each direction (a, metres)."""
     n = len(xy)
     begin, neighbour = adjacency(n, corridors)
-    ends, distances = [(0, 0)][:0], [0.0][:0]
-    origin, exposure = [0][:0], [0.0][:0]
+    ends, distances, toward = [(0, 0)][:0], [0.0][:0], [(0.0, 0.0)][:0]
+    origin, exposure, outward = [0][:0], [0.0][:0], [(0.0, 0.0)][:0]
     for a in range(n):
         for c in range(begin[a], begin[a + 1]):
             before, node, travelled = a, neighbour[c], 0.0
@@ -178,6 +189,7 @@ def gaps(xy, corridors, reach, cosine):
             length = np.hypot(first[0], first[1])
             if length < SHORT_M:
                 continue
+            way = (first[0] / length, first[1] / length)
             while True:
                 step = xy[node] - xy[before]
                 travelled += np.hypot(step[0], step[1])
@@ -185,6 +197,7 @@ def gaps(xy, corridors, reach, cosine):
                     break
                 ends.append((a, node))
                 distances.append(travelled)
+                toward.append(way)
                 following = -1
                 for d in range(begin[node], begin[node + 1]):
                     other = xy[neighbour[d]] - xy[node]
@@ -196,10 +209,12 @@ def gaps(xy, corridors, reach, cosine):
                 before, node = node, following
             origin.append(a)
             exposure.append(min(travelled, reach))
+            outward.append(way)
     pairs = np.empty((len(ends), 2), np.intp)
     for k in range(len(ends)):
         pairs[k, 0], pairs[k, 1] = ends[k]
-    return pairs, np.array(distances), np.array(origin, dtype=np.intp), np.array(exposure)
+    left = np.array(origin, dtype=np.intp), np.array(exposure), rows_of(outward)
+    return pairs, np.array(distances), rows_of(toward), *left
 
 
 @kernel
@@ -213,22 +228,36 @@ def apart(distance, at, period):
 
 
 @kernel
-def times_met(pairs, distances, origin, exposure, start, label, a, b, at, tolerance, period, own):
+def as_far(off, tolerance):
+    """How far two distances that differ by ``off`` [m] count as the same: half at the ``tolerance`` [m], and wholly or
+    not at all a quarter below and above it, so that rounding decides nothing."""
+    return min(max((1.25 * tolerance - off) / (0.5 * tolerance), 0.0), 1.0)
+
+
+@kernel
+def times_met(G, a, b, at, tolerance, period, own, x, y):
     """How often in one map a landmark of label b stands ``at`` [m], or whole periods [m] from there, from one whose
-    ``start`` is a along a straight corridor, and how often it could; the gap between the two ``own`` isn't counted."""
-    met = 0
-    for k in range(len(pairs)):
-        p, q = pairs[k, 0], pairs[k, 1]
+    ``start`` is a along a straight corridor, and how often it could; then both of the direction (x, y) alone. The gap
+    between the two ``own`` isn't counted."""
+    met = met_that_way = 0.0
+    could = could_that_way = 0
+    for k in range(len(G.pairs)):
+        p, q = G.pairs[k, 0], G.pairs[k, 1]
         mine = (p == own[0] and q == own[1]) or (p == own[1] and q == own[0])
-        if start[p] == a and label[q] == b and not mine and apart(distances[k], at, period) < tolerance:
-            met += 1
-    could = 0
+        if G.start[p] == a and G.label[q] == b and not mine:
+            same = as_far(apart(G.distance[k], at, period), tolerance)
+            met += same
+            if G.toward[k, 0] * x + G.toward[k, 1] * y > SAME_WAY:
+                met_that_way += same
     first = at % period if period > 0 else at
-    for k in range(len(origin)):
-        beyond = exposure[k] - first + tolerance
-        if start[origin[k]] == a and beyond > 0:
-            could += 1 + int(beyond / period) if period > 0 else 1
-    return met, could
+    for k in range(len(G.origin)):
+        beyond = G.exposure[k] - first + tolerance
+        if G.start[G.origin[k]] == a and beyond > 0:
+            times = 1 + int(beyond / period) if period > 0 else 1
+            could += times
+            if G.outward[k, 0] * x + G.outward[k, 1] * y > SAME_WAY:
+                could_that_way += times
+    return met, could, met_that_way, could_that_way
 
 
 @kernel
@@ -238,29 +267,41 @@ def same_distance(distance):
 
 
 @kernel
-def rhythm(G, H, pair1, pair2, at, rate, pitch):
-    """Share of landmarks like the first of a pair that have one like the second ``at`` [m] from them, beyond chance.
-
-    ``pair1``, ``pair2``: the same two landmarks in either map; ``rate`` [1/m]: how common those like the second are.
-    """
-    if at > REACH_M and not pitch:
-        return 0.0
-    a, b, tolerance = G.start[pair1[0]], G.label[pair1[1]], same_distance(at)
-    met1, could1 = times_met(
-        G.pairs, G.distance, G.origin, G.exposure, G.start, G.label, a, b, at, tolerance, pitch, pair1
-    )
-    met2, could2 = times_met(
-        H.pairs, H.distance, H.origin, H.exposure, H.start, H.label, a, b, at, tolerance, pitch, pair2
-    )
-    met, could = met1 + met2, could1 + could2
-    if pitch:
-        return met / (could + DOUBT)
-    by_chance = could * rate * 2 * tolerance
-    return max(met - by_chance - np.sqrt(by_chance), 0.0) / (could + DOUBT)
+def beyond_chance(met, could, per_place):
+    """How many of those met weren't met by chance, ``per_place`` of the places where they could be having one."""
+    by_chance = could * per_place
+    return max(met - by_chance - np.sqrt(by_chance), 0.0)
 
 
 @kernel
-def shares(G, H, i, j, at, along, rate, pitch):
+def rhythm(G, H, pair1, pair2, step, turn, rate, pitch, one_way):
+    """Share of landmarks like the first of a pair that have one like the second so far from them, beyond chance.
+
+    ``pair1``, ``pair2``: the same two landmarks in either map, one ``step`` (x, y) [m] of map 1 apart along a corridor;
+    ``turn`` [rad]: of map 2; ``rate`` [1/m]: how common those like the second are. ``one_way``: the share in that
+    direction alone, as far as it is known, where that is more.
+    """
+    at = np.hypot(step[0], step[1])
+    if at > REACH_M and not pitch:
+        return 0.0
+    a, b, tolerance = G.start[pair1[0]], G.label[pair1[1]], same_distance(at)
+    x, y = (step[0] / at, step[1] / at) if at > 0 else (0.0, 0.0)
+    c, s = np.cos(turn), np.sin(turn)
+    met1, could1, that_way1, could_that_way1 = times_met(G, a, b, at, tolerance, pitch, pair1, x, y)
+    met2, could2, that_way2, could_that_way2 = times_met(
+        H, a, b, at, tolerance, pitch, pair2, c * x + s * y, c * y - s * x
+    )
+    could, could_that_way = could1 + could2, could_that_way1 + could_that_way2
+    per_place = 0.0 if pitch else 2 * tolerance * rate
+    share = beyond_chance(met1 + met2, could, per_place) / (could + DOUBT)
+    if one_way:
+        beyond = beyond_chance(that_way1 + that_way2, could_that_way, per_place)
+        share = max(share, (beyond + DOUBT * share) / (could_that_way + DOUBT))
+    return share
+
+
+@kernel
+def shares(G, H, i, j, at, along, turn, rate, pitch):
     """Share (k,) of other buildings of this style that have a landmark of match k's label where it stands, as
     `mapfuse.fusion.regularity.Regularity.shares` says."""
     out = np.zeros(len(i))
@@ -268,7 +309,7 @@ def shares(G, H, i, j, at, along, rate, pitch):
     for k in range(len(i)):
         x, y = along[k]
         nearest_before, least = -1, np.inf
-        on_a_line = False
+        on_a_line = one_way = False
         for m in range(k):
             dx, dy = at[k, 0] - at[m, 0], at[k, 1] - at[m, 1]
             ahead, beside = abs(dx * x + dy * y), abs(dy * x - dx * y)
@@ -278,10 +319,13 @@ def shares(G, H, i, j, at, along, rate, pitch):
             if before and ahead + beside < least:
                 nearest_before, least = m, ahead + beside
             on_a_line |= ahead < LINE_WIDTH_M and beside > LINE_WIDTH_M and G.spatial[i[m]]
+            # corridors cross whichever way one comes; for all else the first match shows whether the ways agree
+            one_way |= not G.spatial[i[k]] and G.label[i[m]] == G.label[i[k]]
         if nearest_before >= 0:
             m = nearest_before
-            ahead = abs((at[k, 0] - at[m, 0]) * x + (at[k, 1] - at[m, 1]) * y)
-            out[k] = rhythm(G, H, (i[m], i[k]), (j[m], j[k]), ahead, rate[k], pitch)
+            ahead = (at[k, 0] - at[m, 0]) * x + (at[k, 1] - at[m, 1]) * y
+            step = (ahead * x, ahead * y)
+            out[k] = rhythm(G, H, (i[m], i[k]), (j[m], j[k]), step, turn, rate[k], pitch, one_way)
         if G.spatial[i[k]] and on_a_line:
             out[k] = max(out[k], ON_A_LINE)
         corners += G.spatial[i[k]]
@@ -367,7 +411,7 @@ def on_corridors(A, B, G, H, W, pitch, turn, i, j, coincide, contradict, C, r, p
         order = on[order]
         density = in_line(C, r, order, along)
         at, rate = p1[i[order]], W.rate[i[order]]
-        share = shares(G, H, i[order], j[order], at, along, rate, pitch)
+        share = shares(G, H, i[order], j[order], at, along, turn, rate, pitch)
         for n in range(1, len(order)):
             densities += density[n] / 2
             regular -= np.log1p(share[n] * np.exp(density[n]) / rate[n]) / 2

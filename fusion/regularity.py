@@ -37,6 +37,8 @@ LINE_WIDTH_M = 1.0
 #: Pitches [m] that are tried: from, below, step. One is believed where multiples of it stand out by so many nats.
 PITCHES_M = (4.0, 15.0, 0.1)
 PITCH_ODDS = 10.0
+#: Cosine of the angle within which two directions along corridors are the same.
+SAME_WAY = 0.7
 #: Exposures that are added to those seen, so that one repeated distance is no rhythm.
 DOUBT = 2.0
 
@@ -48,16 +50,19 @@ def corridor_kernels() -> ModuleType:
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """Distances along one map's straight corridors: from landmark to landmark (g, 2), ``distance`` (g,) [m]; and from
-    which landmarks (e,) how far, ``exposure`` (e,) [m], one could have come upon something.
+    """Distances along one map's straight corridors: from landmark to landmark (g, 2), ``distance`` (g,) [m] in the
+    direction ``toward`` (g, 2); and from which landmarks (e,) how far, ``exposure`` (e,) [m] in the direction
+    ``outward`` (e, 2), one could have come upon something.
 
     ``label`` (n,): of the map's landmarks; ``spatial`` (n,): which are corners or junctions.
     """
 
     pairs: Index
     distance: Array
+    toward: Array
     origin: Index
     exposure: Array
+    outward: Array
     label: Index
     spatial: NDArray[np.bool_]
 
@@ -65,13 +70,14 @@ class Gaps:
     def of(cls, m: PreparedMap, label: Index, angle: float) -> Gaps:
         """Of a map whose landmarks have ``label`` (n,); corridors go straight on within ``angle`` [rad]."""
         spatial = np.array([name in SPATIAL_TYPES for name in m.map.types], dtype=bool)
-        pairs, distance, origin, exposure = corridor_kernels().gaps(
+        pairs, distance, toward, origin, exposure, outward = corridor_kernels().gaps(
             m.positions, m.corridors, REACH_M, float(np.cos(angle))
         )
         # what rather isn't there says nothing of the building's style
         there = m.false < 0.5
         both, starts = there[pairs].all(axis=1), there[origin]
-        return cls(pairs[both], distance[both], origin[starts], exposure[starts], label, spatial)
+        along = pairs[both], distance[both], toward[both]
+        return cls(*along, origin[starts], exposure[starts], outward[starts], label, spatial)
 
     @cached_property
     def start(self) -> Index:
@@ -88,7 +94,8 @@ class Gaps:
     def table(self) -> Any:
         """The same as the compiled loops take it (`_corridor_kernels.Rhythm`)."""
         return corridor_kernels().Rhythm(
-            self.pairs, self.distance, self.origin, self.exposure, self.start, self.label, self.spatial
+            *(self.pairs, self.distance, self.toward, self.origin, self.exposure, self.outward),
+            *(self.start, self.label, self.spatial),
         )
 
 
@@ -131,13 +138,14 @@ class Regularity:
         """Pitch [m] of both maps' corridors, or 0."""
         return pitch_of(np.concatenate([self.gaps1.between_spatial, self.gaps2.between_spatial]))
 
-    def shares(self, i: Index, j: Index, at: Array, along: Array, rate: Array) -> Array:
+    def shares(self, i: Index, j: Index, at: Array, along: Array, turn: float, rate: Array) -> Array:
         """Share (k,) of other buildings of this style that have a landmark of match k's label where it stands.
 
         Matches (i, j) in the order in which they are come upon, standing ``at`` (k, 2) [m], each come upon in the
-        direction ``along`` (k, 2); ``rate`` (k,) [1/m]: how common its label is anywhere.
+        direction ``along`` (k, 2), map 2 turned by ``turn`` [rad]; ``rate`` (k,) [1/m]: how common its label is
+        anywhere.
         """
         found: Array = corridor_kernels().shares(
-            self.gaps1.table, self.gaps2.table, i, j, at, along, rate, float(self.pitch)
+            self.gaps1.table, self.gaps2.table, i, j, at, along, turn, rate, float(self.pitch)
         )
         return found

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import beta, multivariate_normal, norm
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Link, Noise
@@ -15,7 +15,17 @@ from mapfuse.fusion.background import Background
 from mapfuse.fusion.config import EvidenceConfig, SolvingConfig
 from mapfuse.fusion.coverage import SeenArea, Segments, overlap_length, passed
 from mapfuse.fusion.elastic import PRIOR_SIGMA, Joined
-from mapfuse.fusion.evidence import DISTANCES, ONE_GRID, REGULAR_NATS, STEEL_RATE, look_elsewhere, weigh, weigh_all
+from mapfuse.fusion.evidence import (
+    ARMS_BEFORE,
+    DISTANCES,
+    ONE_GRID,
+    REGULAR_NATS,
+    STEEL_RATE,
+    contradictions,
+    look_elsewhere,
+    weigh,
+    weigh_all,
+)
 from mapfuse.fusion.growth import Growth, grow
 from mapfuse.fusion.pair import grow_all
 from mapfuse.fusion.passing import emptiness, passing_at, per_arm
@@ -230,12 +240,26 @@ def test_a_corner_and_a_junction_at_one_place_are_not_both_there(apart):
     assert swapped.misses + swapped.arms == pytest.approx(both)
 
 
+def test_contradictions_are_what_an_unknown_error_rate_makes_of_them():
+    # the beta-binomial by its definition: mean over rates e of e^c (1 - e)^m, over that of (1 - e)^m, against even odds
+    for agree, contradict in ((0, 1), (7, 1), (20, 3), (20, 0)):
+        e = beta(ARMS_BEFORE * CONFIG.arm_error_rate, ARMS_BEFORE * (1 - CONFIG.arm_error_rate))
+        both = e.expect(lambda x, m=agree, c=contradict: x**c * (1 - x) ** m)
+        agreeing = e.expect(lambda x, m=agree: (1 - x) ** m)
+        expected = np.log(both / agreeing) + contradict * np.log(2)
+        assert contradictions(agree, contradict, CONFIG) == pytest.approx(expected, abs=1e-3)
+
+
 def test_arms_that_contradict_at_a_matched_landmark():
     opened = end("west", 0.0, 0.0, "east", LENGTH)
     opened = Landmark("west", "corner", 0.0, 0.0, links=(*opened.links[:1], Link("open", np.pi / 2), *opened.links[2:]))
     two = prepare(LandmarkMap("two", (opened, end("east", LENGTH, np.pi, "west", LENGTH))), SOLVING)
     found = weighed(corridor("one"), two, BOTH_ENDS)
-    assert found.terms.arms == pytest.approx(np.log(CONFIG.arm_error_rate / 0.5))
+    # of eight arms that meet seven agree; before them as if four had met, of which the error rate contradicted
+    assert int(found.growth.joined.arms.coincide.sum()) == 7
+    assert found.terms.arms == pytest.approx(np.log(4 * CONFIG.arm_error_rate / (4 + 7) / 0.5))
+    # an image has most arms of the right place, too: this tells it apart by no more than the rate itself
+    assert found.apart == pytest.approx(np.log(CONFIG.arm_error_rate / 0.5))
     # and they don't lie on their corridor the same way: that one of two orientations agrees isn't credited
     one = Background(corridor("one"), two)
     least = sum(one.there1) + sum(one.there2) - np.log(one.rates1).sum()
@@ -480,7 +504,9 @@ def test_all_hypotheses_at_once_weigh_what_each_does_alone(seed, kind, trees):
         joined = growth.joined
         way = passing_at(joined.T12, joined.corrected(), (growth.i, growth.j), background, CONFIG)
         misses, void, arms, crossings = emptiness(way, background, CONFIG)
-        arms += per_arm(CONFIG) * joined.arms.contradict.sum()
+        agree, contradict = joined.arms.coincide.sum(), joined.arms.contradict.sum()
+        apart = arms + per_arm(CONFIG) * contradict
+        arms += contradictions(agree, contradict, CONFIG)
         terms = found.terms
         assert (terms.misses, terms.void, terms.arms, terms.crossings) == pytest.approx((misses, void, arms, crossings))
         assert found.missed1 == alone.missed1 == tuple(way.missed1)
@@ -490,4 +516,4 @@ def test_all_hypotheses_at_once_weigh_what_each_does_alone(seed, kind, trees):
         gone = 1 - np.concatenate([background.unseen1[way.missed1], background.unseen2[way.missed2]])
         by_hand = [len(hits) * np.log(1 - s) + np.log((1 - gone * (1 - s)) / (1 - gone)).sum() for s in LACKING]
         assert found.lacking == pytest.approx(by_hand)
-        assert found.apart == pytest.approx(terms.arms + terms.crossings + terms.compass)
+        assert found.apart == pytest.approx(apart + terms.crossings + terms.compass)

@@ -37,15 +37,15 @@ def regularity(m1, m2):
     return Background(m1, m2).regularity(ANGLE)
 
 
-def met(gaps, a, b, at, own):
-    """How often b stands ``at`` [m] from a, and how often it could, where there is no pitch."""
+def met(gaps, a, b, at, own, way=1.0):
+    """How often b stands ``at`` [m] from a, and how often it could, and both to the East (way 1) or West (-1), where
+    there is no pitch."""
     within = regular.SAME_DISTANCE_M + regular.SAME_DISTANCE_SHARE * at
-    distances = (gaps.pairs, gaps.distance, gaps.origin, gaps.exposure, gaps.start, gaps.label)
-    return regular.corridor_kernels().times_met(*distances, a, b, at, within, 0.0, own)
+    return regular.corridor_kernels().times_met(gaps.table, a, b, at, within, 0.0, own, way, 0.0)
 
 
 def test_the_compiled_loops_hold_the_same_constants():
-    names = ("REACH_M", "SAME_DISTANCE_M", "SAME_DISTANCE_SHARE", "ON_A_LINE", "LINE_WIDTH_M", "DOUBT")
+    names = ("REACH_M", "SAME_DISTANCE_M", "SAME_DISTANCE_SHARE", "ON_A_LINE", "LINE_WIDTH_M", "DOUBT", "SAME_WAY")
     for name in names:
         assert getattr(regular.corridor_kernels(), name) == getattr(regular, name)
 
@@ -111,7 +111,7 @@ def test_a_repeated_distance_is_a_rhythm_in_which_the_match_itself_does_not_coun
     found = regularity(m1, m2)
     assert found.pitch == 0.0
     a, b = found.gaps1.start[0], found.gaps1.label[1]
-    times, could = met(found.gaps1, a, b, 3.0, (0, 1))
+    times, could = met(found.gaps1, a, b, 3.0, (0, 1))[:2]
     assert (times, could) == (
         2,
         6,
@@ -120,14 +120,64 @@ def test_a_repeated_distance_is_a_rhythm_in_which_the_match_itself_does_not_coun
     along = np.array([[np.nan, np.nan], [1.0, 0.0]])
     at = m1.positions[i]
     rate = 1e-3  # so rare that by chance there would be none
-    share = found.shares(i, j, at, along, np.full(2, rate))
+    share = found.shares(i, j, at, along, 0.0, np.full(2, rate))
     # map 2 shows that distance only in the match itself; its door's way back could have had one
     by_chance = 7 * rate * 2 * (0.5 + 0.09)
     expected = (2 - by_chance - np.sqrt(by_chance)) / (could + met(found.gaps2, a, b, 3.0, (0, 1))[1] + DOUBT)
     assert share == pytest.approx([0.0, expected], rel=0.05)
     # at a distance that nothing repeats, there is no rhythm
     off = at + np.array([[0.0, 0.0], [19.0, 0.0]])
-    assert found.shares(i, j, off, along, np.full(2, rate)).tolist() == [0.0, 0.0]
+    assert found.shares(i, j, off, along, 0.0, np.full(2, rate)).tolist() == [0.0, 0.0]
+
+
+def test_once_a_door_is_matched_the_rhythm_of_others_is_that_of_its_own_direction():
+    # a door 3 m East of each of five junctions, and never one to the West of any
+    junctions = (0, 14, 31, 45, 66)
+    doors = [(x + 3, "door") for x in junctions]
+    m1 = along_x("a", sorted([*((x, "junction") for x in (*junctions, 95)), *doors]))
+    m2 = along_x("b", [(0, "junction"), (3, "door"), (14, "junction"), (17, "door")])
+    found = regularity(m1, m2)
+    a, b = found.gaps1.start[0], found.gaps1.label[1]
+    rate = 1e-4
+
+    def shares(turn, i, j, along):
+        kernel = found.shares(np.array(i), np.array(j), m1.positions[i], np.array(along), turn, np.full(len(i), rate))
+        return kernel.tolist()
+
+    def expected(own1, own2, both_ways, way2=1.0):
+        """Of the matched pair of a junction and its door: by hand of the counts, which are checked above."""
+        counts = np.add(met(found.gaps1, a, b, 3.0, own1), met(found.gaps2, a, b, 3.0, own2, way2))
+        met_all, could_all, met_east, could_east = (float(x) for x in counts)
+        beyond = [
+            m - n * rate * 1.18 - np.sqrt(n * rate * 1.18) for m, n in ((met_all, could_all), (met_east, could_east))
+        ]
+        share = beyond[0] / (could_all + DOUBT)
+        return share if both_ways else max(share, (beyond[1] + DOUBT * share) / (could_east + DOUBT))
+
+    east = [[np.nan, np.nan], *[[1.0, 0.0]] * 3]
+    first, second = expected((0, 1), (0, 1), True), expected((2, 3), (2, 3), False)
+    got = shares(0.0, [0, 1, 2, 3], [0, 1, 2, 3], east)
+    assert (got[1], got[3]) == pytest.approx((first, second), rel=0.02)
+    # four of five junctions to whose East one could see have another; of both ways it is four of eleven and DOUBT
+    assert first < 0.45
+    assert second > 0.6
+    # the same corridor, walked from its East end: the step from junction to door is what counts
+    west = [[np.nan, np.nan], *[[-1.0, 0.0]] * 3]
+    assert shares(0.0, [0, 1, 2, 3], [0, 1, 2, 3], west) == pytest.approx(got)
+    # with map 2 turned round, its door lies to the West of its junction, and none to the East
+    turned = expected((2, 3), (2, 3), False, -1.0)
+    assert shares(np.pi, [0, 1, 2, 3], [0, 1, 2, 3], east)[3] == pytest.approx(turned, rel=0.02)
+    assert turned < second
+    # corners and junctions are where corridors cross, whichever way one comes: of them no direction is asked
+    assert shares(np.pi, [0, 1, 2, 3], [0, 1, 2, 3], east)[2] == got[2]
+
+
+def test_a_distance_that_is_nearly_the_same_counts_in_part():
+    as_far = corridor_kernels().as_far
+    assert [as_far(off, 0.6) for off in (0.0, 0.45, 0.6, 0.75, 2.0)] == pytest.approx([1, 1, 0.5, 0, 0])
+    # on average over all distances it counts as much as within the tolerance and not beyond
+    offs = np.linspace(0, 2, 20_001)
+    assert np.mean([as_far(off, 0.6) for off in offs]) * 2 == pytest.approx(0.6, abs=1e-3)
 
 
 def test_a_corner_on_the_line_of_an_earlier_one_is_expected_there():
@@ -137,9 +187,9 @@ def test_a_corner_on_the_line_of_an_earlier_one_is_expected_there():
     # the second corridor lies 9 m North, its junction on the line through the first one's
     at = np.array([[0.0, 0.0], [0.2, 9.0]])
     along = np.array([[np.nan, np.nan], [1.0, 0.0]])
-    assert found.shares(i, j, at, along, np.full(2, 0.05)).tolist() == [0.0, ON_A_LINE]
+    assert found.shares(i, j, at, along, 0.0, np.full(2, 0.05)).tolist() == [0.0, ON_A_LINE]
     beside = np.array([[0.0, 0.0], [3.0, 9.0]])
-    assert found.shares(i, j, beside, along, np.full(2, 0.05)).tolist() == [0.0, 0.0]
+    assert found.shares(i, j, beside, along, 0.0, np.full(2, 0.05)).tolist() == [0.0, 0.0]
 
 
 def test_simulated_floors_of_one_pitch_have_it_and_others_have_none():
@@ -171,7 +221,8 @@ def test_a_match_in_a_rhythm_is_worth_less_by_what_the_rhythm_says():
     background = Background(m1, m2)
     corridors = (m1.positions, m1.corridors, m1.arm_headings, m1.arm_passable)
     order, along = corridor_kernels().visited(*corridors, both)
-    share = background.regularity(ANGLE).shares(order, order, m1.positions[order], along, background.rates1[order])
+    regularity = background.regularity(ANGLE)
+    share = regularity.shares(order, order, m1.positions[order], along, 0.0, background.rates1[order])
     assert share[1] > 0.1
     # each map knows the 3 m between the two by one reading, and two robots mean the same place to 0.05 m
     density = norm.pdf(0.0, scale=np.sqrt(2 * (0.1 + 0.02 * 3) ** 2 + 2 * 0.05**2))
