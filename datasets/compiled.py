@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -51,14 +52,26 @@ def _compiled(function: Function, forceinline: bool = False) -> Function:
 def kernels(name: str, package: str | None, what: str) -> ModuleType:
     """The module ``name`` of a package; says once that ``what`` will be compiled, if it isn't on disk yet."""
     module = import_module(f"{package}.{name}")
-    if not _is_on_disk(module):
+    current, outdated = _on_disk(module)
+    for index in outdated:
+        with suppress(OSError):
+            index.unlink()
+    if not current:
         log.warning("compiling %s for this machine, once; it takes some seconds", what)
     return module
 
 
-def _is_on_disk(module: ModuleType) -> bool:
-    """Whether numba has kept machine code of this version of the module's source."""
+def _on_disk(module: ModuleType) -> tuple[list[Path], list[Path]]:
+    """Indices of the machine code that numba has kept of this version of the module's source, and of earlier ones.
+
+    Numba would read an earlier one before it finds it outdated, and fail where that names a class which is gone.
+    """
     source = Path(str(module.__file__))
     folders = {value.stats.cache_path for value in vars(module).values() if hasattr(value, "py_func")}
     kept = [index for folder in folders if folder for index in Path(folder).glob(f"{source.stem}.*.nbi")]
-    return any(index.stat().st_mtime >= source.stat().st_mtime for index in kept)
+    made = source.stat().st_mtime
+    is_current = [index.stat().st_mtime >= made for index in kept]
+    return (
+        [index for index, current in zip(kept, is_current, strict=True) if current],
+        [index for index, current in zip(kept, is_current, strict=True) if not current],
+    )
