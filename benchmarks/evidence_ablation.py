@@ -57,7 +57,9 @@ class Part:
 
 def _lacking(*names: str) -> Callable[[Weighed], Weighed]:
     def without(w: Weighed) -> Weighed:
-        apart = w.apart - sum(getattr(w.terms, name) for name in names if name in ("arms", "compass"))
+        # arms that contradict tell less between a place and its image than against no overlap: not what the term holds
+        told_apart = {"arms": w.apart - w.terms.crossings - w.terms.compass, "compass": w.terms.compass}
+        apart = w.apart - sum(told_apart.get(name, 0.0) for name in names)
         lacking = np.zeros_like(w.lacking) if "misses" in names else w.lacking
         return replace(w, terms=replace(w.terms, **dict.fromkeys(names, 0.0)), apart=apart, lacking=lacking)
 
