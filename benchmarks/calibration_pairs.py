@@ -50,15 +50,18 @@ class PairClass:
         rng = np.random.default_rng([seed, 0])
         low, high = self.common
         for _ in range(_DRAWS):
-            pair = simulated_pair(
-                rng,
-                self.kind,
-                same=self.same,
-                compass=self.compass,
-                min_common=low,
-                robots=robots,
-                share=self.share,
-            )
+            try:
+                pair = simulated_pair(
+                    rng,
+                    self.kind,
+                    same=self.same,
+                    compass=self.compass,
+                    min_common=low,
+                    robots=robots,
+                    share=self.share,
+                )
+            except SimulationError:  # some floors are too small for two robots to start apart
+                continue
             if not self.same or len(pair[2].true_pairs("A", "B")) <= high:
                 return pair
         raise SimulationError(f"no pair with {low} to {high} common landmarks came about in {_DRAWS} draws")
