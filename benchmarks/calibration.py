@@ -4,8 +4,9 @@
 
 Pairs of the classes in `calibration_pairs`, ``--pairs`` of each. Seeds are `TEST_SEEDS`, on which nothing was tuned,
 from ``--first`` on; ``--tuning`` takes `TUNING_SEEDS` instead. ``--noise`` fuses with `estimate_noise`. ``--write``
-keeps the tables in ``benchmarks/results/calibration.md`` and the figures in ``docs/images/calibration.png``;
-``--classes`` picks some classes. Everything is simulated from the measurement model that the estimator assumes.
+keeps the tables in ``benchmarks/results/calibration.md`` and the figures in ``docs/images/calibration.png``, or, with
+a name, the tables in a file of that name alone; ``--classes`` picks some classes. Everything is simulated from the
+measurement model that the estimator assumes.
 """
 
 from __future__ import annotations
@@ -237,7 +238,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--noise", action="store_true", help="estimate the noise of each map")
-    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--write", nargs="?", const="calibration", metavar="NAME", help="of the file, calibration")
     args = parser.parse_args()
     seeds = TUNING_SEEDS if args.tuning else TEST_SEEDS
     config = FuseConfig(solving=SolvingConfig(estimate_noise=args.noise))
@@ -258,10 +259,10 @@ def main() -> None:
     text = report(outcomes, f"Simulated pairs, {which}{noise}; {machine}")
     print(text)
     if args.write:
-        name = "calibration-noise" if args.noise else "calibration"
+        name = f"{args.write}-noise" if args.noise else args.write
         (HERE / "results").mkdir(exist_ok=True)
         (HERE / "results" / f"{name}.md").write_text(text)
-        if not args.noise:
+        if name == "calibration":
             draw(outcomes, HERE.parent / "docs" / "images" / "calibration.png")
 
 
