@@ -166,7 +166,7 @@ class _Chooser:
 
         ``supports``: what is known of it from before, and kept for later.
         """
-        sure = [key for key, m in meetings.items() if m.placements and m.probability >= self.accept]
+        sure = [key for key, meeting in meetings.items() if self._is_sure(groups[key[0]], groups[key[1]], meeting)]
         if len(sure) < 2:
             return sure[0] if sure else None
         for key in sure:
@@ -174,6 +174,16 @@ class _Chooser:
                 supports[key] = self._support(key, meetings, beside)
         ranked = [(meetings[key].margin + supports[key], groups[key[0]].names, key) for key in sure]
         return max(ranked, key=lambda item: (item[0], item[1], groups[item[2][1]].names))[2]
+
+    def _is_sure(self, one: Group, other: Group, meeting: Meeting) -> bool:
+        """Whether the best placement of two groups on each other may be followed; of two single maps their own answer
+        is all that there is to go by."""
+        if not meeting.placements or meeting.probability < self.accept:
+            return False
+        if len(one.names) > 1 or len(other.names) > 1:
+            return True
+        a, b = sorted((one.names[0], other.names[0]))
+        return self.comparisons[a, b].decision == "merged"
 
     def _support(self, key: tuple[int, int], meetings: _Meetings, beside: _Beside) -> float:
         """What third groups say of the best placement [nats].

@@ -9,7 +9,15 @@ import pytest
 
 from mapfuse.datasets import se2
 from mapfuse.datasets.maps import Landmark, LandmarkMap, Noise
-from mapfuse.datasets.simulation import MILKA, VESPUCCI, explore, irregular_floor, record, truth_of
+from mapfuse.datasets.simulation import (
+    MILKA,
+    VESPUCCI,
+    explore,
+    irregular_floor,
+    record,
+    simulated_pair,
+    truth_of,
+)
 from mapfuse.factors import LandmarkKey, build_problem
 from mapfuse.factors.correspondence import SAME_PLACE, Correspondence
 from mapfuse.fusion import fuse, read_fused, write_fused
@@ -120,3 +128,16 @@ def test_differences_of_n_robots_weigh_what_n_minus_one_of_them_do():
     errors = sum(m.error(poses) for m in problem.of_kind(Correspondence))
     about_the_mean = np.sum((records - records.mean(axis=0)) ** 2) / (SAME_PLACE**2 / 2)
     assert errors == pytest.approx(about_the_mean / 2)
+
+
+@pytest.mark.parametrize("seed", [235_060, 235_078, 235_271])
+def test_two_maps_alone_are_merged_by_their_own_answer_only(seed):
+    # tuning seeds of one pitch with 5 to 7 common landmarks: variants of one answer together would pass the threshold
+    rng, common = np.random.default_rng([seed, 0]), 99
+    while common > 7:
+        map1, map2, truth = simulated_pair(rng, "alike", min_common=5, share=(0.2, 0.5), robots=(VESPUCCI, MILKA))
+        common = len(truth.true_pairs("A", "B"))
+    (pair,) = fuse([map1, map2]).pairs
+    assert pair.decision == "ambiguous"
+    assert 0.98 < pair.probability < 0.99
+    assert "the maps around it" not in pair.reason
