@@ -69,9 +69,5 @@ def _on_disk(module: ModuleType) -> tuple[list[Path], list[Path]]:
     source = Path(str(module.__file__))
     folders = {value.stats.cache_path for value in vars(module).values() if hasattr(value, "py_func")}
     kept = [index for folder in folders if folder for index in Path(folder).glob(f"{source.stem}.*.nbi")]
-    made = source.stat().st_mtime
-    is_current = [index.stat().st_mtime >= made for index in kept]
-    return (
-        [index for index, current in zip(kept, is_current, strict=True) if current],
-        [index for index, current in zip(kept, is_current, strict=True) if not current],
-    )
+    current = [index for index in kept if index.stat().st_mtime >= source.stat().st_mtime]
+    return current, [index for index in kept if index not in current]
